@@ -259,7 +259,7 @@ class Guard:
             held = talk.ended(unread, now_ns)
             drove = held or self._door.crowded
             self._board.leave(in_order=not drove)
-            self._tell(f"{self._who} has ended{' or died while it drove' if drove else ''}")
+            self._tell(self._ending(held=held))
             if late := talk.late(now_ns):
                 late_ms, waits_ms = (ns // 1_000_000 for ns in late)
                 self._tell(
@@ -270,6 +270,15 @@ class Guard:
                 self._tell_hasty(talk)
         elif unread and not self._door.count and (talk := self._new_talk()) and talk.ended(unread, now_ns):
             self._tell_hasty(talk)
+
+    def _ending(self, *, held: bool) -> str:
+        """The text that a program has ended. `held`: its own newest motion was not zero. Whether the wheels turned then
+        is not known here: motion may have been disabled, or the driver held."""
+        seen = list(map(str, self._door.seen.values()))
+        who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
+        if held:
+            return f"{who} has ended or died, and the last speed that it wrote was not zero"
+        return f"{who} has ended{' or died while too many programs had the port open' if self._door.crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
         """Note that the driver wrote a motion and closed the port at once, as a script does that opens the port for

@@ -409,6 +409,8 @@ class Gate:
     def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
         """Handle a client that has left, or whose claim has ended. If it drove, the wheels stop at once."""
         self.core.attendance.leave(slot.session)
+        if parted:
+            self._said.part(slot.session)
         enabled = self.core.enabled
         if died := self.core.client_gone(slot.session, now_ns, parted=parted):
             self._stop(died, now_ns)

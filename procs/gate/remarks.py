@@ -129,7 +129,14 @@ class SelfReports:
 
     def __init__(self, now_ns: int) -> None:
         self._rows: dict[int, SaidRow] = {}
+        self._parted: set[int] = set()
+        """Sessions that have said goodbye since the last update."""
         self._budget = Budget(now_ns)
+
+    def part(self, session: int) -> None:
+        """Note that a session has said goodbye. Its program may go on running, as the guard does when it gives back its
+        own slot for a driver, so update() does not say that it has gone."""
+        self._parted.add(session)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
         """Replace the reports of all sessions. Returns notes for people, or None if not even a time has changed."""
@@ -137,7 +144,9 @@ class SelfReports:
         if before == self._rows:
             return None
         notes = [note for session, row in self._rows.items() if (note := _words(before.get(session), row))]
-        notes += [_gone(row) for session, row in before.items() if session not in self._rows]
+        ended = ((row, session in self._parted) for session, row in before.items() if session not in self._rows)
+        notes += [note for row, parted in ended if (note := _gone(row, parted=parted))]
+        self._parted.clear()
         return [note for note in notes if self._budget.spend(now_ns)]
 
     def table(self) -> list[tuple[int, int, str, str]]:
@@ -155,5 +164,12 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
     return Note("said", f"{who}: {sees}", fields)
 
 
-def _gone(row: SaidRow) -> Note:
-    return Note("said", f"{row[2]} has gone", {"who": row[2], "sees": "", "wrong": ""})
+def _gone(row: SaidRow, *, parted: bool) -> Note | None:
+    """The note about a session that has ended. After a goodbye, only a report of something wrong is worth ending."""
+    _, _, who, _, _, wrong = row
+    text = f"{who} has gone"
+    if parted:
+        if not wrong:
+            return None
+        text = f"{who} no longer reports: {wrong}"
+    return Note("said", text, {"who": who, "sees": "", "wrong": ""})

@@ -386,8 +386,15 @@ def test_words_of_a_client_reach_people(simulated: Simulated) -> None:
         assert "also eyes: nobody feeds the lidar" in why
         robot.say("looks ahead")
         simulated.wait_for("that it is well", lambda: not any(client.wrong for client in robot.state.clients))
-    simulated.wait_for("that it has gone", lambda: "has gone" in simulated.printed("events", "--kind", "said"))
+        robot.say("looks ahead", "it is dark")
+        simulated.wait_for("what is wrong", lambda: any(client.wrong for client in robot.state.clients))
+    simulated.wait_for("its end", lambda: "no longer" in simulated.printed("events", "--kind", "said"))
     assert simulated.robot.state.clients == ()
     _, told, _ = simulated.command("events", "--kind", "said")
-    said = [line.partition("): ")[2] for line in told.splitlines()]
-    assert said[:2] == ["nobody feeds the lidar", "looks ahead"]
+    said = [line.partition(") ")[2] or line.partition("): ")[2] for line in told.splitlines()]
+    assert said == ["nobody feeds the lidar", "looks ahead", "it is dark", "no longer reports: it is dark"]
+    with simulated.failstop.Robot(client="ears") as robot:
+        robot.say("listens")
+        simulated.wait_for("its words", lambda: any(client.sees for client in robot.state.clients))
+    simulated.wait_for("its end", lambda: simulated.robot.state.clients == ())
+    assert "has gone" not in simulated.printed("events", "--kind", "said"), "it has closed its robot, and lives on"

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 
 from bench.guard_scene import GuardScene, Process
+from failstop.api.events import EventLog
 from failstop_lab.trial import wait_for
 from tests.support.amounts import amount
 
@@ -284,4 +285,22 @@ def test_the_death_of_a_large_driver_is_seen_before_its_memory_is_gone(arduino: 
     arduino.stands()
     wait_for("motion to be disabled", lambda: not arduino.trial.robot.state.enabled)
     assert arduino.guard
-    arduino.guard.until(f"(pid {driver.pid}) has ended or died while it drove")
+    arduino.guard.until(f"(pid {driver.pid}) has ended or died, and the last speed that it wrote was not zero")
+
+
+def test_a_driver_that_never_drove_is_not_said_to_have_driven(arduino: GuardScene, diffdrive: str) -> None:
+    """It commands while motion is disabled. The guard gives back its own client slot meanwhile, and lives on."""
+
+    def logged() -> list[str]:
+        return [event.text for event in EventLog(arduino.trial.name).read()]
+
+    driver = arduino.driver(diffdrive, arduino.path, "serial", "10", "10", RATE)
+    who = f"diffdrive (pid {driver.pid})"
+    wait_for("its command", lambda: driver.line() and "diffdrive" in arduino.clients())
+    wait_for("its report in the log", lambda: any(text.startswith(f"{who}: uses the guard port") for text in logged()))
+    driver.kill()
+    wait_for("its death in the log", lambda: f"{who} has gone" in logged())
+    assert arduino.guard
+    assert f"failstop guard (pid {arduino.guard.pid}) has gone" not in logged()
+    line = arduino.guard.until("has ended")
+    assert line == f"{who} has ended or died, and the last speed that it wrote was not zero"

@@ -130,7 +130,7 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(
         guard.until("motion: wheels 900 900")  # a question may have come before it
         guard.until(gets)
         driver.kill()
-        guard.until("has ended or died while it drove")
+        guard.until("has ended or died, and the last speed that it wrote was not zero")
     finally:
         guard.close()
         if driver:

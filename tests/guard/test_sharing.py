@@ -171,7 +171,7 @@ def test_a_program_that_runs_another_one_again_and_again_goes_on_driving(desk: D
 def test_a_driver_that_dies_while_its_child_has_the_port_is_named_with_the_remedy(desk: Desk, begins: str) -> None:
     driver = driving_with_a_child(desk, FORK_ON, begins)
     driver.child.kill()
-    desk.says("has ended or died while it drove")
+    desk.says("has ended or died, and the last speed that it wrote was not zero")
     desk.says("but a child of it still had it open, so the guard hung up: open the port with O_CLOEXEC")
     assert desk.door.count == 0
 
@@ -200,7 +200,10 @@ def test_of_two_programs_each_has_its_own_death_and_no_child_s(desk: Desk) -> No
     desk.says("motion: wheels 7 7")
     assert not [line for line in desk.lines if "ended" in line]
     second.child.kill()
-    desk.says("has ended or died while it drove")
+    both = f"(pid {first.child.pid}) and ", f"(pid {second.child.pid}) has ended or died, and the last speed"
+    desk.says(both[1])
+    assert next(line for line in desk.lines if both[1] in line).startswith("one of ")
+    assert any(both[0] in line for line in desk.lines), "the guard can't see which of the two has written"
     assert set(desk.door.seen) == {first.child.pid}
 
 

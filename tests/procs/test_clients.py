@@ -226,6 +226,26 @@ def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> No
     assert said.table() == [(0, 199, "199", "")]
 
 
+@pytest.mark.parametrize(
+    ("parted", "wrong", "told"),
+    [
+        (False, "", ["nav (pid 7) has gone"]),
+        (False, "no map", ["nav (pid 7) has gone"]),
+        (True, "", []),
+        (True, "no map", ["nav (pid 7) no longer reports: no map"]),
+    ],
+)
+def test_a_goodbye_is_not_logged_as_a_death(parted: bool, wrong: str, told: list[str]) -> None:
+    """The guard gives back its own slot when a driver comes, and goes on running."""
+    said = SelfReports(0)
+    said.update([(11, 0, "nav (pid 7)", 5, "all well", wrong)], S)
+    if parted:
+        said.part(11)
+    assert [note.text for note in said.update([], S) or []] == told
+    said.update([(11, 0, "nav (pid 7)", 6, "all well", "")], 2 * S)
+    assert [note.text for note in said.update([], 2 * S) or []] == ["nav (pid 7) has gone"], "a goodbye counts once"
+
+
 def test_words_are_bounded_and_printable(service: Service) -> None:
     client = service.known()
     assert service.table.active[0].said() is None
