@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 
     class DriverLanguage(Protocol):
         """One driver's conversation with the board. The guard makes a new object for each program that opens the
-        port."""
+        port.
+
+        It also makes a new one when the service is started again while the driver keeps the port open. If the language
+        has a method `resume(before)`, the guard then gives it the object before, so that it can go on with values that
+        must not jump for the driver, such as counts that began at zero when the driver opened the port."""
 
         openers: int
         """How many programs the usual driver of this board consists of. It is two if one of its programs writes to the

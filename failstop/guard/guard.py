@@ -137,7 +137,10 @@ class Guard:
         self._board.look(now_ns)
         if self._board.runs != self._runs:
             self._runs = self._board.runs
+            before = self._talk
             self._begin()
+            if before and self._talk:
+                self._talk.resume(before)
         if self._board.note != self._note:
             self._note = self._board.note
             self._tell(self._note or "the service is running")

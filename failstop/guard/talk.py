@@ -78,6 +78,11 @@ class Talk:
         self.refusals: list[DriverRefusal] = []
         """New refusals, for people. The shell reports them and empties the list."""
 
+    def resume(self, before: Talk) -> None:
+        """Go on with the driver of an earlier conversation, after the service was started again."""
+        if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
+            resume(before._language)
+
     @property
     def motion(self) -> tuple[float, ...] | None:
         """The newest motion; None if the driver has written none."""

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from failstop.board.arduino.driver import ArduinoDriver
 from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop.board.kinds import board_of
+from failstop.guard.talk import Talk
 from failstop_lab.boards.arduino import Arduino
 from tests.support.amounts import amount
 
@@ -107,6 +109,19 @@ def test_counts_begin_at_zero_for_each_driver_and_go_on_as_the_board_counts() ->
     language.wrote(b"r\r", 4)
     language.heard(b"5037 -330\r\n", 400_000_000)
     assert [row.data for row in language.wrote(b"e\r", 5) if isinstance(row, DriverAnswer)] == [b"7 0\r\n"]
+
+
+def test_counts_go_on_when_the_service_is_started_again() -> None:
+    """The driver has kept the port open, so its odometry must not jump; the board may count from zero again."""
+    before = Talk(ArduinoDriver(), 2, 300_000_000, 300_000_000)
+    before.heard(b"5000 -300\r\n5010 -310\r\n", 0)
+    assert before.wrote(b"e\r", 1, 1) == [b"10 -10\r\n"]
+    talk = Talk(ArduinoDriver(), 2, 300_000_000, 300_000_000)
+    talk.resume(before)
+    assert talk.wrote(b"e\r", 2, 2) == [b"10 -10\r\n"]
+    talk.heard(b"0 0\r\n3 -2\r\n", 3)
+    assert talk.wrote(b"e\r", 4, 4) == [b"13 -12\r\n"]
+    assert before.wrote(b"e\r", 5, 5) == [b"10 -10\r\n"]
 
 
 def frames(language: DriverLanguage, line: bytes, now_ms: int = 0) -> list[bytes]:

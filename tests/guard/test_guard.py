@@ -61,7 +61,8 @@ def test_a_service_that_is_started_again_takes_its_driver_again(scene: GuardScen
     wait_for("its command", lambda: driver.line() and bool(scene.trial.robot.state.clients))
     scene.trial.robot.enable()
     scene.trial.board.events()
-    lines(driver, 10)
+    driver.newest()
+    assert {line.split("|")[0] for line in lines(driver, 10)} == {counts}, "its odometry does not jump"
     assert scene.motion() == []
 
 

@@ -121,6 +121,10 @@ class ArduinoDriver:
                     self._kept, self._kept_ns, self._asked_ns = self._counts, now_ns, 0
         return []
 
+    def resume(self, before: ArduinoDriver) -> None:
+        """Go on with the counts that this driver has got, because its odometry would jump if they began again."""
+        self._counts = list(before._counts)
+
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
         before, self._counted = self._counted, counters
         passed_ns, self._counted_ns = now_ns - self._counted_ns, now_ns
