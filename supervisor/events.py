@@ -53,7 +53,11 @@ def fold(text: str, width: int, indent: int) -> str:
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
-    for word in _words(text, width - indent):
+    words = _words(text.lstrip(" "), width - indent)
+    lead = text[: len(text) - len(text.lstrip(" "))]
+    if len(lead) <= indent:
+        words[0] = lead + words[0]
+    for word in words:
         if row and len(row) + 1 + len(word) > width:
             rows.append(row)
             row = " " * indent + word

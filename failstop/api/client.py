@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import termios
@@ -213,7 +214,9 @@ class Client:
             except segments.AttachError as error:
                 raise FailstopError(str(error)) from None
             except OSError as error:
-                raise NoService(f"the service {name!r} is ending ({error.strerror}): try again") from None
+                # The two that a service leaves behind are no words for people.
+                why = "" if error.errno in (errno.ENXIO, errno.ENOENT) else f" ({error.strerror})"
+                raise NoService(f"the service {name!r} is ending{why}: try again") from None
             life = None
             # Without a thread or memory, the gate learns about a death later, when the kernel has freed the process.
             with contextlib.suppress(RuntimeError, OSError):

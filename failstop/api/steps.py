@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Block, State
+from failstop.api.words import GUARDED
 from failstop.messages.layout import GATE
 from failstop.policy import causes, servos
+from failstop.policy.settings import PAD_SOURCE
 
 
 class Purpose(Enum):
@@ -28,8 +30,13 @@ REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND
 """For each request, the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
+OR_END = "or end it, `failstop enable`, and start it again"
+"""What helps if a program repeats a speed that it has commanded since its start."""
 LET_GO = "let go of the stick, then push it again"
-SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
+SENSOR = (
+    "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
+    'scan.gate = "off" and restart the service'
+)
 
 
 class Step(NamedTuple):
@@ -91,8 +98,10 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
     idle = state.block is Block.NO_COMMAND
+    guarded = ", ".join(client.name for client in state.clients if client.wrong and client.sees.startswith(GUARDED))
     dumb = next((part for part, text in state.servos_wrong.items() if servos.SILENT_SERVO in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
+    let_go = f"have {held or 'that program'} send zero or pause"
     off, interlock = not state.enabled and not dead, f"satisfy the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -110,7 +119,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
         [(off and state.unmet, Step(Purpose.ALLOW, "satisfy that interlock" if known else interlock))],
         [
             (
-                state.block is Block.NO_COMMAND and complains,
+                idle and complains and not guarded,
                 Step(Purpose.COMMAND, f"fix what {complains} reports"),
             )
         ],
@@ -119,7 +128,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
             (
                 state.block is Block.HELD,
-                Step(Purpose.COMMAND, f"have {held or 'that program'} send zero or pause", LET_GO),
+                Step(Purpose.COMMAND, let_go if held == PAD_SOURCE else f"{let_go}, {OR_END}", LET_GO),
             ),
             (
                 idle and silent,
@@ -129,6 +138,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
                     f"look at {silent}, or disable motion to keep the robot still if it resumes",
                 ),
             ),
+            (idle and guarded, Step(Purpose.COMMAND, f"fix what is wrong with {guarded}, {OR_END}")),
             (idle, Step(Purpose.COMMAND, DRIVE, how["drive"])),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
         ],

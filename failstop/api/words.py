@@ -16,6 +16,8 @@ OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
 """Two clocks of one machine drift apart by at most this share of the time, as long as nobody sets one of them."""
+GUARDED = "uses the guard port "
+"""How the guard's report about a driver begins; the path of the port follows."""
 NOWHERE_MPS = 0.0005
 """A speed below this is shown as standing, because it would be rounded to 0."""
 

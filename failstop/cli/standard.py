@@ -38,14 +38,19 @@ def say(text: str) -> None:
 
 def print_line(text: str) -> None:
     """Write one line about something that was done to stdout, or to stderr if stdout can't be written. Never raises."""
-    from failstop.supervisor.events import fitted
-
     try:
-        sys.stdout.write(fitted(text, 1, 2) + "\n")
+        sys.stdout.write(folded(text) + "\n")
         sys.stdout.flush()
     except (OSError, ValueError):
         let_go()
         say(text)
+
+
+def folded(text: str) -> str:
+    """The text as it should be written to stdout: on a terminal, wrapped at words."""
+    from failstop.supervisor.events import fitted
+
+    return fitted(text, 1, 2)
 
 
 def let_go() -> None:

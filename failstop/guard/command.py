@@ -16,6 +16,7 @@ from failstop import config
 from failstop.api.client import runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.board.driver import language_of
+from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.files import instance
 from failstop.guard.door import Door
@@ -173,4 +174,4 @@ def _print_line(line: str) -> None:
     reads. Waiting would hold up the guard, and with it the driver."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
-            print(line, flush=True)
+            print(standard.folded(line), flush=True)

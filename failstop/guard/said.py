@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from failstop.api.words import GUARDED
+
 GUARD = "failstop guard"
 """The guard's name while no driver has the port open."""
-DRIVES = "uses the guard port "
+DRIVES = GUARDED
 WAITS = "no driver has opened the guard port "
 REFUSED = "failstop refused "
 

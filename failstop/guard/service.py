@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 
-from failstop.api.client import Client, attach
+from failstop.api.client import Client, attach, gone
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import judge
 from failstop.api.snapshot import Block
@@ -44,6 +44,7 @@ class Service:
         self._client: Client | None = None
         self._who: tuple[str, int | None] | None = None
         self._tried_ns = -AGAIN_NS
+        self._ended = f"the service {name!r} has ended; the guard waits until it is started again"
 
     def look(self, now_ns: int) -> bool:
         """True if a service is running. If none is, it is looked for every AGAIN_NS."""
@@ -53,6 +54,8 @@ class Service:
             self._tried_ns = now_ns
             try:
                 reader = StateReader(self.name)
+                if reader.over():  # its memory still exists, because it has died a moment ago
+                    raise gone(self.name)
                 settings = Settings(dict(reader.settings()))
                 views = [attach(self.name, which, reader.found) for which in (layout.TELEMETRY, layout.PORT_OWNER)]
             except FailstopError as error:
@@ -71,7 +74,7 @@ class Service:
 
     def _drop(self) -> None:
         self._reader = None
-        self.note = f"the service {self.name!r} has ended"
+        self.note = self._ended
         self._leave(in_order=True)
 
     def _connect(self) -> None:
@@ -79,6 +82,11 @@ class Service:
         try:
             self._client = Client(self.name, self._who[0], pid=self._who[1])
             self.note = ""
+        except NoService as error:
+            if self._reader and self._reader.over():
+                self._drop()
+            else:
+                self.note = str(error)
         except FailstopError as error:
             self.note = str(error)
 

@@ -237,7 +237,7 @@ class GateCore:
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
         """The answer after motion was enabled. It names the programs that command motion already, because they may move
         the robot next."""
-        waits = f"{' and '.join(held)} must send zero or pause before it can drive" if held else ""
+        waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
             for who, ago_ns in self.sources.paused(now_ns)
@@ -304,3 +304,11 @@ class GateCore:
 
 def _toward(now: float, want: float, most: float) -> float:
     return max(now - most, min(now + most, want))
+
+
+def _or_end(held: list[str]) -> str:
+    """What helps if a held program never sends zero; empty for the gamepad, whose stick a person lets go."""
+    if PAD_SOURCE in held:
+        return ""
+    it = "it" if len(held) == 1 else "them"
+    return f" (or end {it}, enable motion, and start {it} again)"

@@ -59,6 +59,7 @@ COMMAND = "`failstop show first-and-last`"
         (f"{X} {COMMAND}.", [f"{X} `failstop show", "first-and-last`."]),
         (f"{X}  two spaces {Y}", [f"{X}  two spaces", Y]),
         (f" {X}{Y}", [f" {X}{Y}"]),
+        (f"  {X} {Y}", [f"  {X}", Y]),
     ],
 )
 def test_a_line_is_filled_to_its_last_column_and_keeps_its_spaces(text: str, rows: list[str]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
 
 from failstop.api import steps, verdict
-from failstop.api.snapshot import Block, Device
+from failstop.api.snapshot import Block, Client, Device, Source
 from failstop.api.steps import Purpose
 from failstop.messages import box
 from failstop.policy import causes, kinematics
@@ -35,7 +36,10 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     (
         driving(blocked="no scan", **STANDING),
         verdict.STOPPED,
-        ["start the obstacle sensor and the program that calls robot.sensed()"],
+        [
+            "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
+            'scan.gate = "off" and restart the service'
+        ],
     ),
     (state(waiting_for="gate"), verdict.STOPPED, ["wait for gate", "`failstop enable`"]),
     (
@@ -159,3 +163,48 @@ def test_a_stop_that_was_not_written_at_first_is_doubted_only_while_the_port_is_
     unwritten = stop(causes.DEVICE_LOST(), written_s=None, acknowledged_s=None, observed_s=None)
     assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten, device=LOST))
     assert verdict.doubt(latched(causes.DEVICE_LOST(), last_stop=unwritten)) == ""
+
+
+GUARDED = Client(0, "driver.py", 42, driving=False, sees="uses the guard port /run/port")
+WHO = "driver.py (pid 42)"
+OR_END = ", or end it, `failstop enable`, and start it again"
+
+
+@pytest.mark.parametrize(
+    ("changed", "typed"),
+    [
+        pytest.param(
+            {"blocked": "let go first", "sources": (Source("cmd_vel", 0, WHO, "held"),)},
+            [f"have {WHO} send zero or pause{OR_END}"],
+            id="it repeats a speed since before the enable",
+        ),
+        pytest.param(
+            {"blocked": "let go first", "sources": (Source("gamepad", 101, "gamepad", "held"),)},
+            ["have gamepad send zero or pause"],
+            id="a gamepad has no end",
+        ),
+        pytest.param(
+            {"blocked": "cmd timeout", "clients": (dataclasses.replace(GUARDED, wrong="it has written no speed"),)},
+            [f"fix what is wrong with driver.py{OR_END}"],
+            id="it is suspended",
+        ),
+        pytest.param(
+            {
+                "blocked": "cmd timeout",
+                "sources": (Source("cmd_vel", 0, WHO, "silent"),),
+                "clients": (dataclasses.replace(GUARDED, wrong="it has written no speed"),),
+            },
+            [f"look at {WHO}, or `failstop disable` to keep the robot still if it resumes"],
+            id="it was suspended while it drove",
+        ),
+        pytest.param(
+            {"blocked": "cmd timeout", "clients": (Client(0, "eyes", 42, driving=False, wrong="it is dark"),)},
+            ["fix what eyes reports", DRIVE],
+            id="a program that reports about itself",
+        ),
+    ],
+)
+def test_the_steps_for_a_driver_that_drives_nothing(changed: dict[str, Any], typed: list[str]) -> None:
+    found = driving(**{"sources": (), "clients": (), **STANDING, **changed})
+    assert steps.typed(found) == typed
+    assert "`" not in steps.pressed(found)

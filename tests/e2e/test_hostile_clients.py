@@ -296,7 +296,7 @@ def test_who_is_connected_drives_on_without_bell_and_claims(simulated: Simulated
         group.on.unlink(f"{group.directory}/{name}")
     simulated.drive(0.3)
     assert simulated.turning()
-    with pytest.raises(simulated.failstop.FailstopError, match="is ending"):
+    with pytest.raises(simulated.failstop.FailstopError, match=r"is ending: try again$"):
         group.client("late")
     simulated.robot.estop("still heard")
     simulated.robot.wait_for("latched", 1.0)

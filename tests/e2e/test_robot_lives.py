@@ -114,7 +114,10 @@ def test_a_restart_is_noticed_by_the_next_call(simulated: Simulated, end: str) -
         assert (state.enabled, state.estop, state.blocked) == (False, None, "disabled")
         assert [client.name for client in state.clients] == [robot.client_name]
         assert not simulated.turning()
-        assert robot.enable() == "motion enabled; lidar (pid 100) must send zero or pause before it can drive"
+        assert (
+            robot.enable() == "motion enabled; lidar (pid 100) must send zero or pause before it can drive "
+            "(or end it, enable motion, and start it again)"
+        )
         robot.drive(0.0, 0.0, 0.0, manual=True)
         simulated.wait(0.05)
         robot.drive(0.1, 0.0, 0.0, manual=True)

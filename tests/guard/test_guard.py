@@ -9,6 +9,7 @@ import select
 import subprocess
 import sys
 import termios
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,11 +23,13 @@ from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
 from failstop.guard.pty import Pty
+from failstop.guard.service import Service
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.boards import own_folder
 from tests.support.commands import failstop
+from tests.support.typist import Typist
 from tests.support.waiting import until
 
 RATE = "30"
@@ -64,6 +67,21 @@ def test_a_service_that_is_started_again_takes_its_driver_again(scene: GuardScen
     driver.newest()
     assert {line.split("|")[0] for line in lines(driver, 10)} == {counts}, "its odometry does not jump"
     assert scene.motion() == []
+
+
+@pytest.mark.slow
+def test_a_dead_service_is_reported_as_dead_and_not_taken_for_the_next_one(scene: GuardScene) -> None:
+    service = Service(scene.trial.name)
+    assert service.look(time.monotonic_ns())
+    scene.trial.leave()
+    scene.trial.service.kill()
+    service.join("a driver", None)
+    ended = f"the service {scene.trial.name!r} has ended; the guard waits until it is started again"
+    assert service.note == ended
+    assert not service.look(time.monotonic_ns())
+    assert service.runs == 1
+    assert scene.guard
+    assert "is ending" not in scene.guard.until("service")
 
 
 @pytest.mark.slow
@@ -150,6 +168,20 @@ def test_a_dry_run_plays_the_board_that_is_asked_for_and_needs_no_settings(tmp_p
         os.close(driver)
     finally:
         guard.close()
+
+
+def test_its_lines_are_wrapped_at_words_on_a_terminal(tmp_path: Path) -> None:
+    port = str(tmp_path / "port")
+    with Typist.failstop("guard", "--dry-run", "--board", "ugv", "--path", port) as typist:
+        until(lambda: "Ctrl-C" in typist.look(0.1), "the guard to be ready")
+        driver = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        os.write(driver, b"hello\n")
+        until(lambda: "for this board?" in typist.look(0.1), "the refusal")
+        os.close(driver)
+        rows = typist.raw.replace("\r\n", "\n").split("\n")
+    said = next(at for at, row in enumerate(rows) if "refused a line that is not JSON" in row)
+    assert rows[said + 1].startswith("  "), rows
+    assert max(len(row) for row in rows if port not in row) <= 80
 
 
 @pytest.mark.parametrize("option", ["--board", "--config"])

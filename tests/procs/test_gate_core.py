@@ -25,7 +25,10 @@ test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 def test_an_enable_takes_its_epoch_and_no_command_of_before(gate: Gate) -> None:
     gate.accept(FORWARD)
     assert told(gate.core.enable(1, "the port", gate.now)) == (False, "not ready: the port")
-    held = "motion enabled; client 1 must send zero or pause before it can drive"
+    held = (
+        "motion enabled; client 1 must send zero or pause before it can drive "
+        "(or end it, enable motion, and start it again)"
+    )
     assert told(gate.core.enable(7, "", gate.now)) == (True, held)
     gate.drive(FORWARD, 40)
     assert stands(gate)

@@ -42,7 +42,8 @@ def test_a_command_that_is_in_its_slot_before_an_enable_is_held_though_requests_
     scene.command(0.1)
     assert scene.ask(records.ENABLE) == (
         True,
-        "motion enabled; test (pid 0) must send zero or pause before it can drive",
+        "motion enabled; test (pid 0) must send zero or pause before it can drive "
+        "(or end it, enable motion, and start it again)",
     )
     scene.drive(0.1)
     scene.tick()

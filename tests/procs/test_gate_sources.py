@@ -234,7 +234,10 @@ def test_or_after_a_pause_of_its_timeout(paused_ns: int, drives: bool) -> None:
 
 def test_every_enable_names_the_program_that_it_holds() -> None:
     gate = holding()
-    held = "motion enabled; client 1 must send zero or pause before it can drive"
+    held = (
+        "motion enabled; client 1 must send zero or pause before it can drive "
+        "(or end it, enable motion, and start it again)"
+    )
     assert told(gate.core.enable(2, "", gate.now)) == (True, held)
     gate.command(0.0)
     assert told(gate.core.enable(2, "", gate.now)) == (True, "motion enabled")
@@ -243,7 +246,11 @@ def test_every_enable_names_the_program_that_it_holds() -> None:
 @pytest.mark.parametrize(
     ("velocity", "ago_ns", "said"),
     [
-        (0.1, 300 * MS, "; client 1 must send zero or pause before it can drive"),
+        (
+            0.1,
+            300 * MS,
+            "; client 1 must send zero or pause before it can drive (or end it, enable motion, and start it again)",
+        ),
         (0.1, 450 * MS, "; client 1 commanded motion 0.5 s ago, so the robot moves when it commands again"),
         (0.1, 500 * MS, "; client 1 commanded motion 0.5 s ago, so the robot moves when it commands again"),
         (0.1, 5000 * MS, "; client 1 commanded motion 5.0 s ago, so the robot moves when it commands again"),
