@@ -3,6 +3,8 @@ themselves. Pure."""
 
 from __future__ import annotations
 
+import re
+
 from failstop.messages import records
 from failstop.messages.packing import Note
 from failstop.policy.causes import Reply
@@ -27,6 +29,8 @@ VERBS = {
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """A client that repeats a request endlessly causes five notes per second, not a thousand."""
+AGE = re.compile(r"(\d+(\.\d+)? (ms|s|min|h|days?)\b ?)+")
+"""A length of time in a client's report, as words.span writes it."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
 """The shortest time between two notes about drivers that fall silent. A program that commands less often than its
@@ -154,12 +158,17 @@ class SelfReports:
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 
+def _ageless(text: str) -> str:
+    """The text without its lengths of time. A report that only grows older is no news, and would fill the log."""
+    return AGE.sub("", text)
+
+
 def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
     _, _, who, _, sees, wrong = row
-    if before and before[4:] == row[4:]:
+    if before and (before[4:] == row[4:] or [*map(_ageless, before[4:])] == [*map(_ageless, row[4:])]):
         return None
     fields: dict[str, str | int | float] = {"who": who, "sees": sees, "wrong": wrong}
-    if wrong and (before is None or before[5] != wrong):
+    if wrong and (before is None or _ageless(before[5]) != _ageless(wrong)):
         return Note("said", f"{who}: {wrong}", fields, level="warning")
     return Note("said", f"{who}: {sees}", fields)
 

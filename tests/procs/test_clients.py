@@ -246,6 +246,25 @@ def test_a_goodbye_is_not_logged_as_a_death(parted: bool, wrong: str, told: list
     assert [note.text for note in said.update([], 2 * S) or []] == ["nav (pid 7) has gone"], "a goodbye counts once"
 
 
+def test_a_report_that_only_grows_older_is_no_news() -> None:
+    """As the guard's about a driver that hangs, which would be logged five times a second."""
+    said = SelfReports(0)
+    told = []
+    ages = ("0.4 s", "0.6 s", "12 s", "2 min", "2 h 5 min", "3 days")
+    for turn, age in enumerate(ages):
+        wrong = f"it has written no speed for {age}, and a speed counts for 0.3 s"
+        told += said.update([(11, 0, "nav", turn, "uses the port", wrong)], turn * S) or []
+        assert said.table() == [(0, turn, "uses the port", wrong)], "screens show its age"
+    for wrong in ("servo 3 is silent for 2 s", "servo 4 is silent for 2 s", ""):
+        told += said.update([(11, 0, "nav", 99, "uses the port", wrong)], 99 * S) or []
+    assert [note.text for note in told] == [
+        "nav: it has written no speed for 0.4 s, and a speed counts for 0.3 s",
+        "nav: servo 3 is silent for 2 s",
+        "nav: servo 4 is silent for 2 s",
+        "nav: uses the port",
+    ]
+
+
 def test_words_are_bounded_and_printable(service: Service) -> None:
     client = service.known()
     assert service.table.active[0].said() is None
