@@ -119,9 +119,11 @@ def test_counts_go_on_when_the_service_is_started_again() -> None:
     talk = Talk(ArduinoDriver(), 2, 300_000_000, 300_000_000)
     talk.resume(before)
     assert talk.wrote(b"e\r", 2, 2) == [b"10 -10\r\n"]
-    talk.heard(b"0 0\r\n3 -2\r\n", 3)
-    assert talk.wrote(b"e\r", 4, 4) == [b"13 -12\r\n"]
-    assert before.wrote(b"e\r", 5, 5) == [b"10 -10\r\n"]
+    talk.heard(b"0 0\r\n", 3)
+    assert talk.wrote(b"e\r", 4, 4) == [b"10 -10\r\n"]
+    talk.heard(b"3 -2\r\n", 5)
+    assert talk.wrote(b"e\r", 6, 6) == [b"13 -12\r\n"]
+    assert before.wrote(b"e\r", 7, 7) == [b"10 -10\r\n"], "the earlier conversation keeps its own"
 
 
 def frames(language: DriverLanguage, line: bytes, now_ms: int = 0) -> list[bytes]:

@@ -122,8 +122,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Go on with the counts that this driver has got, because its odometry would jump if they began again."""
-        self._counts = list(before._counts)
+        """Go on with the counts of this driver, because its odometry would jump if they began again."""
+        self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
         before, self._counted = self._counted, counters
