@@ -55,11 +55,13 @@ class Tool:
         self.boards: dict[str, Heard] = {}
         self.environ: dict[str, str] = {}
 
-    def last_run(self, device: str, *servos: int, name: str = "failstop") -> None:
+    def last_run(self, device: str, *servos: int, name: str = "failstop", kind: str = "rrc") -> None:
         """A service that somebody has started by hand, and that has died, was on this port."""
         load = self.lab.loader.load
         found = load("failstop.files.instance")
-        found.remember(load("failstop.instances").make_runtime_dir(name), found.Last(device, "failstop run", servos))
+        found.remember(
+            load("failstop.instances").make_runtime_dir(name), found.Last(device, "failstop run", servos, kind)
+        )
 
     def run(self, *words: str) -> tuple[int, str, str]:
         return self.lab.command(("stop", *words), environ=self.environ)
@@ -247,8 +249,11 @@ def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
         "/dev/left",
         f"{sent} /dev/left, the port of the last run (no service 'left' runs)\nthe board at /dev/left answers\n",
     )
-    answers = "the board at /dev/ttyACM0 answers\n"
-    assert tool.run() == (0, f"{sent} /dev/ttyACM0 (no service 'failstop' runs)\n{answers}", "")
+    out = (
+        f"stop frame for {BOARD.name} sent (after 0.0 s), directly to /dev/ttyACM0 (no service 'failstop' runs); "
+        "no settings name another board\nthe board at /dev/ttyACM0 answers\n"
+    )
+    assert tool.run() == (0, out, "")
 
 
 # What the board says to it.
@@ -270,6 +275,33 @@ def test_it_says_whether_the_board_answers(tool: Tool, kind: str, mute: bool) ->
     else:
         how = "reports zero speed" if kind == "hoverboard" else "answers"
         assert (code, answer, err) == (0, [f"the board at /dev/board {how}"], "")
+
+
+@pytest.mark.parametrize("kind", ["arduino", "ugv"])
+@pytest.mark.parametrize("by", ["nothing", "the file", "the last run"])
+def test_another_board_whose_kind_nothing_names_is_not_called_stopped(tool: Tool, kind: str, by: str) -> None:
+    """The person has named the port, so what is missing is the kind of board."""
+    tool.plug("board", kind=kind)
+    words = ["--device", "/dev/board"]
+    if by == "the file":
+        tool.lab.write(FILE, f'board.kind = "{kind}"\n')
+        words += ["--config", FILE]
+    elif by == "the last run":
+        tool.last_run("/dev/board", kind=kind)
+    code, out, err = tool.run(*words)
+    if by != "nothing":
+        sent = "stop frame sent (after 0.0 s), directly to /dev/board\nthe board at /dev/board answers\n"
+        assert (code, out, err) == (0, sent, "")
+        return
+    assert (code, tool.boards["/dev/board"].without_pings().startswith(BURST)) == (1, True)
+    assert out == (
+        f"stop frame for {BOARD.name} sent (after 0.0 s), directly to /dev/board; no settings name another board\n"
+    )
+    assert err == (
+        f"failstop: nothing at /dev/board answers as {BOARD.name} does, so the wheels may turn: use the POWER SWITCH. "
+        "Without settings failstop takes every board for Hiwonder's: for another board give --config FILE with its "
+        "board.kind, or run `failstop setup` first. If the board is at another port, name that port with --device\n"
+    )
 
 
 def test_at_the_end_of_the_service_it_says_so_and_the_unit_has_not_failed(tool: Tool) -> None:

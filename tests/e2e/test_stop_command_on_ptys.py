@@ -79,10 +79,11 @@ def gets(master: int, expected: bytes) -> None:
 
 
 def unanswered(link: str) -> str:
-    """The complaint where nothing answers."""
+    """The complaint where nothing answers, and no settings name the kind of the board."""
     return (
         f"failstop: nothing at {link} answers as {BOARD.name} does, so the wheels may turn: use the POWER SWITCH. "
-        "If that is not the board, name its port with --device\n"
+        "Without settings failstop takes every board for Hiwonder's: for another board give --config FILE with its "
+        "board.kind, or run `failstop setup` first. If the board is at another port, name that port with --device\n"
     )
 
 
@@ -210,7 +211,10 @@ def test_nobody_to_tell_it_to_is_no_reason_not_to_stop(stderr: str, board: tuple
         command = [*FAILSTOP, "stop", "--config", str(file)]
         done = subprocess.run(command, stdout=full, stderr=to, text=True, timeout=20, check=False)
     assert done.returncode == 1
-    sent = f"failstop: stop frame sent (after 0.0 s), directly to {link}\n{unanswered(link)}"
+    sent = (
+        f"failstop: stop frame for {BOARD.name} sent (after 0.0 s), directly to {link}; no settings name another board\n"
+        f"{unanswered(link)}"
+    )
     assert (done.stderr or "").endswith(sent * (to != full))
     gets(master, BURST)
 

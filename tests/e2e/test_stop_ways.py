@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.client import send_stop
+from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, call
@@ -64,7 +65,8 @@ def test_a_service_at_another_port_swallows_nothing(
     (tmp_path / "other.toml").write_text(f'device.path = "{link}"\n')
     words = ["--device", link] if how == "option" else ["--config", str(tmp_path / "other.toml")]
     result = failstop("stop", "--name", trial.name, *words)
-    assert result.stdout == f"stop frame sent (after 0.0 s), directly to {link}\n"
+    sent = f"stop frame for {BOARD.name} sent (after 0.0 s), directly to {link}; no settings name another board\n"
+    assert result.stdout == sent
     assert (result.returncode, f"nothing at {link} answers" in result.stderr) == (1, True)
     assert written(master).startswith(BURST)
     assert trial.robot.state.estop is None

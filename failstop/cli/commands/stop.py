@@ -189,7 +189,12 @@ def _write_to_port(order: Order) -> Outcome:
     if by_service:
         return by_service[0]
     why = "" if target.asked or target.wanted() else f" (no service {order.name!r} runs)"
-    standard.print_line(f"stop frame sent (after {after_s:.1f} s), directly to {target.described()}{why}")
+    # Another board would ignore it, so this line must not promise more.
+    whose, unless = (
+        (f" for {target.board().name}", "; no settings name another board") if target.assumes_kind() else ("", "")
+    )
+    sent = f"stop frame{whose} sent (after {after_s:.1f} s), directly to {target.described()}{why}{unless}"
+    standard.print_line(sent)
     unheard = target.unheard(patient=True)
     return int(target.doubtful() or unheard)
 
@@ -297,14 +302,11 @@ class Target:
     def board(self) -> Board:
         """The board at the port. Its kind is the last run's if that run used this port, else the file's. If the last
         run has kept the stop of your own board, no code of that board is run before the stop is written."""
-        last = self._last.board if self._last.device == self.device() else ""
-        kind = str(self._file.get(KIND, DEFAULTS[KIND]))
-        with contextlib.suppress(SettingError):
-            kind = str(BY_KEY[KIND].check(last))
+        kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
             return known
-        baud = known.port.baud if known and last else int(self._file.get(BAUD, DEFAULTS[BAUD]))
+        baud = known.port.baud if known and self._is_the_last_s() else int(self._file.get(BAUD, DEFAULTS[BAUD]))
         try:
             made = board_of(kind, 1.0, 0.0, baud=baud, can_id=int(self._file.get(CAN_ID, DEFAULTS[CAN_ID])))
         except ValueError as error:
@@ -313,6 +315,21 @@ class Target:
             raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
         # The last run's stop, if it differs: the file may name another motor by now.
         return known if known and not self._stopped and known.burst != made.burst else made
+
+    def _named_kind(self) -> str:
+        """The kind of the board that the last run names if it used this port, else the file; empty if neither does."""
+        if self._is_the_last_s():
+            with contextlib.suppress(SettingError):
+                return str(BY_KEY[KIND].check(self._last.board))
+        return str(self._file.get(KIND, ""))
+
+    def _is_the_last_s(self) -> bool:
+        """True if the last run used this port."""
+        return self._last.device == self.device()
+
+    def assumes_kind(self) -> bool:
+        """True if nothing names the kind of the board, so the stop is that of the default kind."""
+        return not self._named_kind()
 
     def described(self) -> str:
         """The port for people, with the reason why it was chosen."""
@@ -336,7 +353,7 @@ class Target:
         arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
-        found += self._last.servos if self._last.device == self.device() else ()
+        found += self._last.servos if self._is_the_last_s() else ()
         return tuple(sorted({servo for servo in found if 0 < servo <= HIGHEST_ID})[:MOST_OF_A_FAMILY])
 
     @cached_property
@@ -434,9 +451,13 @@ class Target:
             standard.print_line("this board answers no questions, so nothing proves that it has stopped")
         else:
             who = f"nothing at {device} answers as {board.name} does"
+            kind = (
+                "Without settings failstop takes every board for Hiwonder's: for another board give --config FILE with "
+                f"its {KIND}, or run `failstop setup{instance.option(self._name)}` first. "
+            )
             standard.say(
-                f"{who}, so the wheels may turn: use the POWER SWITCH. If that is not the board, name its port "
-                "with --device"
+                f"{who}, so the wheels may turn: use the POWER SWITCH. {kind if self.assumes_kind() else ''}"
+                "If the board is at another port, name that port with --device"
             )
         return heard is False
 
