@@ -11,7 +11,7 @@ from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
-from failstop.files.instance import check_name
+from failstop.files import instance
 from failstop.policy.layouts import BOARDS, NUMBERS, drivable, speeds_of
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
@@ -19,7 +19,7 @@ from failstop.setup import boards, finish, ports, robots, sizes
 from failstop.setup.draft import Draft
 from failstop.setup.ending import interruptible
 from failstop.setup.halt import Halt
-from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, word_of, yes_or_no
+from failstop.setup.talk import NO, YES, Left, Talk, one_of, option, word_of, yes_or_no
 from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
@@ -39,7 +39,7 @@ QUESTIONS = {
     "stays capped, because nobody has confirmed it",
     **{
         f"wheel_{number - 1}": f"which wheel the motor with id {number - 1} turned, and which way: fl+ means front "
-        "left, forward"
+        "left, forward; on a robot with two wheels type left+ or right+"
         for number in NUMBERS
     },
     "forward": "yes: every wheel turned forward when all wheels turned together",
@@ -72,23 +72,24 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Hold the conversation. Raises Left, whose text says what is wrong and what to do."""
-    draft = Draft(check_name(arguments.name), os.environ)
+    draft = Draft(instance.check_name(arguments.name), os.environ)
     if arguments.afresh:
         draft.forget()
     given = {key: value for key in QUESTIONS if (value := getattr(arguments, key)) is not None}
     talk = Talk(given, draft, silent=not sys.stdin.isatty())
     halts: list[Halt] = []
+    again = f"run `failstop setup{instance.option(arguments.name)}` again to go on from here"
     try:
         with interruptible():
             _converse(talk, arguments.name, halts)
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):
             print()
-        kept = "" if draft.unwritten else f"; {AGAIN}"
+        kept = "" if draft.unwritten else f"; {again}"
         known = next((halt.last for halt in halts), None)
         raise Left(f"{known.sentence() if known else UNMOVED}; {NOTHING}{kept}") from None
     except (Left, SettingError) as error:
-        kept = f"; your answers could not be kept ({draft.unwritten})" if draft.unwritten else f"; {AGAIN}"
+        kept = f"; your answers could not be kept ({draft.unwritten})" if draft.unwritten else f"; {again}"
         raise Left(f"{error}; {NOTHING}{kept}") from None
     return 0
 

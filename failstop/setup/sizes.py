@@ -32,13 +32,16 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
-    talk.say("Press Enter to accept the value in brackets.", style.DIM)
     settings = Settings(dict(values))
     chosen: dict[str, object] = {}
     layout = settings.text("wheels.layout")
     limits = [key for key in LIMITS if AXES[layout][1] or key != "limits.vy_mps"]
+    explained = False
     for key in (*OF_LAYOUT[layout], *limits):
         offered = f"{settings[key]:g}" if known or key in limits else ""
+        if offered and not explained and not talk.known(answer_key(key)):
+            talk.say("Press Enter to accept the value in brackets.", style.DIM)
+            explained = True
         chosen[key] = _number(talk, key, offered)
     for way in distance.sentences(Settings({**values, **chosen})):
         talk.say(way)

@@ -16,7 +16,6 @@ from failstop.setup.draft import Draft
 from failstop.setup.ending import arrivals
 
 WIDEST = 80
-AGAIN = "run `failstop setup` again to go on from here"
 YES, NO = "yes", "no"
 
 
@@ -178,7 +177,8 @@ def begun(answer: str, words: Sequence[str]) -> str | None:
 
 
 def number(least: float, most: float, unit: str) -> Check:
-    """A check for a number within these limits, in this unit."""
+    """A check for a number within these limits, in this unit; empty: it has none."""
+    range_ = f"{least:g} to {most:g}{f', in {unit}' if unit else ''}"
 
     def check(answer: str) -> str:
         try:
@@ -186,7 +186,7 @@ def number(least: float, most: float, unit: str) -> Check:
         except ValueError:
             value = float("nan")
         if not least <= value <= most:
-            raise NotAnAnswer(f"type a number from {least:g} to {most:g}, in {unit}")
+            raise NotAnAnswer(f"type a number from {range_}")
         return f"{value:g}"
 
     return check

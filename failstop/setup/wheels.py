@@ -76,6 +76,8 @@ class Trial:
         self._speeds = speeds_of(self._kind, layout) or board_of(self._kind, 1.0, 0.0).wheels
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
+        self._explained = False
+        """True once the questions about the wheels were explained."""
         self._ratios: list[float] = []
         """Measured speed divided by commanded speed, for each wheel that turned."""
         self._set_speeds()
@@ -123,7 +125,7 @@ class Trial:
 
     def _ids(self) -> dict[str, object]:
         answers: dict[int, str] = {}
-        self._legend()
+        self._explained = False
         left = list(range(self._speeds))
         while left:
             id_ = left.pop(0)
@@ -163,7 +165,10 @@ class Trial:
         return found
 
     def _legend(self) -> None:
-        """Explain once how to answer the questions."""
+        """Explain how to answer the questions, before the first of them."""
+        if self._explained:
+            return
+        self._explained = True
         wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
         self._talk.say(
             "The wheels turn slowly, one after the other, for a second each. Type which wheel it was, and which way:"
@@ -176,7 +181,8 @@ class Trial:
         """Ask about one id until the answer is good. Its wheel turns before each question."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
-            if key not in talk.given and key not in talk.draft.answers:
+            if not talk.known(key):
+                self._legend()
                 self._turn(id_)
             none = f"; {NONE}" if spare else ""
             question = f"Id {id_}: which wheel turned, and which way? ({', '.join(self._words)} with + or -{none})"

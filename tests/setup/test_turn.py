@@ -3,6 +3,7 @@ by turns counted, or left unknown. The simulated board knows its own encoder, wh
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from failstop.board.kinds import board_of
 from failstop.policy.settings import Settings
 from failstop.setup import sizes, turn
 from failstop.setup.draft import Draft
-from failstop.setup.talk import Left, Talk
+from failstop.setup.talk import Left, NotAnAnswer, Talk
 from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, words
 from tests.setup.person import Person
@@ -140,9 +141,52 @@ def test_sizes_of_a_robot_without_a_name_are_asked_for_and_nobody_elses_are_offe
     assert sizes.step(talk(place, **measured), VALUES, known=False)["wheels.track_m"] == 0.3
 
 
+@pytest.mark.parametrize("check", [turn._turns, turn._counted])
+def test_a_number_without_a_unit_is_asked_for_in_a_whole_sentence(check: Callable[[str], str]) -> None:
+    with pytest.raises(NotAnAnswer, match=r"^type a number from 0\.05 to 100$"):
+        check("many")
+
+
 def test_sizes_of_a_robot_with_a_name_are_offered(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     conversation = talk(place)
     conversation.silent = False
     monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: "")
     found = sizes.step(conversation, {"board.kind": "rrc", "wheels.layout": "mecanum"}, known=True)
     assert found["wheels.diameter_m"] == 0.08
+
+
+BRACKETS = "Press Enter to accept the value in brackets."
+
+
+@pytest.mark.parametrize(
+    ("known", "kept", "comes_before"),
+    [
+        (True, (), "Wheel diameter"),
+        (False, (), "Highest speed forward"),
+        (False, ("vx_mps",), "Highest turn rate"),
+        (True, ("diameter_m", "track_m", "vx_mps", "wz_radps"), ""),
+    ],
+)
+def test_brackets_are_explained_once_before_the_first_question_that_has_them(
+    known: bool,
+    kept: tuple[str, ...],
+    comes_before: str,
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    conversation = talk(place)
+    conversation.silent = False
+    for key in kept:
+        conversation.draft.keep(key, "0.2")
+
+    def answer(prompt: str) -> str:
+        print(prompt)
+        return "" if prompt.rstrip().endswith("]") else "0.2"
+
+    monkeypatch.setattr("failstop.setup.talk.read_line", answer)
+    sizes.step(conversation, VALUES, known=known)
+    said = capsys.readouterr().out
+    assert said.count(BRACKETS) == bool(comes_before)
+    if comes_before:
+        assert said.partition(BRACKETS)[2].strip().startswith(comes_before)

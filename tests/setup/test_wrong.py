@@ -28,7 +28,7 @@ from failstop.setup.draft import Draft
 from failstop.setup.halt import Halt
 from failstop.setup.rig import LEVER_M, alone, toml
 from failstop.setup.talk import Left, NotAnAnswer, Talk, word_of
-from failstop.setup.wheels import names, parsed
+from failstop.setup.wheels import Trial, names, parsed
 from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, KIND, words
 from tests.setup.person import Person, is_motion
@@ -455,6 +455,40 @@ def test_a_wheel_and_its_way_are_understood(wheels: int, said: str, meant: str) 
     else:
         with pytest.raises(NotAnAnswer, match="type the wheel"):
             parsed(said, names(wheels), spare=False)
+
+
+@pytest.mark.parametrize("kept", [{}, {"wheel_0": "left+"}, {"wheel_0": "left+", "wheel_1": "right-"}])
+def test_the_questions_about_the_wheels_are_explained_only_if_one_is_asked(
+    kept: Mapping[str, str], place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    conversation = Talk({}, talk(place).draft, silent=False)
+    for key, answer in kept.items():
+        conversation.draft.keep(key, answer)
+    turned: list[int] = []
+    monkeypatch.setattr(Trial, "_turn", lambda _, id_: turned.append(id_))
+    monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: ("left+", "right-")[turned[-1]])
+    values = {"board.kind": KIND, "wheels.layout": "differential"}
+    found = Trial(conversation, "/nowhere", values, Halt("/nowhere", board_of(KIND, 1.0, 0.0), print))._ids()
+    assert found == {"wheels.id_1": 0, "wheels.sign_1": 1, "wheels.id_2": 1, "wheels.sign_2": -1}
+    assert turned == [id_ for id_ in (0, 1) if f"wheel_{id_}" not in kept]
+    assert capsys.readouterr().out.count("The wheels turn slowly, one after the other") == bool(turned)
+
+
+@pytest.mark.parametrize("why", [KeyboardInterrupt(), Left("no board answers")], ids=["ctrl-c", "left"])
+@pytest.mark.parametrize(("name", "option"), [("failstop", ""), ("newcomer", " --name newcomer")])
+def test_the_command_that_goes_on_has_the_name_of_the_service(
+    name: str, option: str, why: BaseException, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def converse(*_: object) -> None:
+        raise why
+
+    monkeypatch.setenv("STATE_DIRECTORY", str(place / "state"))
+    monkeypatch.setattr(command, "_converse", converse)
+    parser = ArgumentParser()
+    command.add_arguments(parser)
+    with pytest.raises(Left) as found:
+        command.main(parser.parse_args(["--name", name]))
+    assert str(found.value).endswith(f"no settings were written; run `failstop setup{option}` again to go on from here")
 
 
 def test_a_layout_is_answered_by_its_word_or_its_beginning() -> None:
