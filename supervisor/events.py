@@ -16,6 +16,7 @@ from failstop.messages import layout
 from failstop.messages.packing import NEXT_STEP, Value, fitting
 from failstop.notify import Outbox
 from failstop.policy import causes
+from failstop.policy.setting import UNITS
 from failstop.shm.cell import RingWriter
 from failstop.supervisor.kinds import EVENT_BY_NAME, LEVELS
 
@@ -45,11 +46,13 @@ PREFIX = "failstop: "
 """The first word of the service's lines, and of the errors of commands."""
 JOINED = "\0"
 """Marks a space at which a line must not be broken."""
+ENDS = ".,;:!?)]'\""
+"""What may follow the unit of a number."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
     """Break the text into lines of at most `width` columns, indenting all but the first. A command in backquotes stays
-    whole if it fits; a single word longer than a line is left to the terminal."""
+    whole if it fits, and so does a number with its unit; a single word longer than a line is left to the terminal."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
@@ -67,11 +70,18 @@ def fold(text: str, width: int, indent: int) -> str:
 
 
 def _words(text: str, room: int) -> list[str]:
-    """The pieces that may not be broken: words, and commands in backquotes with the punctuation next to them."""
+    """The pieces that may not be broken: words, numbers with their units, and commands in backquotes with the
+    punctuation next to them."""
     parts = text.split("`")
     parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
-    found: list[str] = []
+    whole: list[str] = []
     for word in "`".join(parts).split(" "):
+        if whole and whole[-1][-1:].isdecimal() and word.rstrip(ENDS) in UNITS:
+            whole[-1] += JOINED + word
+        else:
+            whole.append(word)
+    found: list[str] = []
+    for word in whole:
         found += [word.replace(JOINED, " ")] if len(word) <= room else word.split(JOINED)
     return found
 

@@ -11,6 +11,8 @@ from itertools import groupby, pairwise
 from operator import itemgetter
 from unicodedata import combining, east_asian_width
 
+from failstop.policy.setting import UNITS
+
 Span = tuple[str, str]
 """A piece of text and its role."""
 Line = list[Span]
@@ -30,9 +32,12 @@ NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
 """Matches a word that people copy, so that it is never broken: a command with a path, or a board's JSON frame."""
-_WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
-"""Matches a word: text without a space in it. A command, and a process id with the word before it, count as one
-word."""
+_UNIT = f"(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\\w/])"
+_WORD = re.compile(f"(?:`[^`]*`|pid [0-9]+|[0-9] {_UNIT}|[^ ])+ *| +")
+"""Matches a word: text without a space in it. A command, a number with its unit, and a process id with the word before
+it count as one word."""
+_NUMBER = re.compile(" *[0-9]+[.] +")
+"""Matches the number of an item of a list."""
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
@@ -103,6 +108,12 @@ def show(lines: Iterable[Line]) -> None:
     sys.stdout.write(text.encode(encoding, "replace").decode(encoding))
 
 
+def warn(text: str, end: str = "\n") -> None:
+    """Print paragraphs on standard error, in at most 80 columns."""
+    sys.stderr.write(paragraphs(text, min(NO_TERMINAL_COLUMNS, width())) + end)
+    sys.stderr.flush()
+
+
 def record(found: object) -> list[Line]:
     """A value as JSON, for programs. Values that JSON does not have are written as Python shows them."""
     import json
@@ -139,6 +150,15 @@ def _pieces(text: str, room: int) -> Iterator[str]:
             continue
         for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):
             yield from [part] if cells(part.rstrip(" ")) <= room else part
+
+
+def paragraphs(text: str, columns: int) -> str:
+    """The text with each of its lines wrapped. The item of a numbered list is indented behind its number."""
+    rows: list[Line] = []
+    for line in text.split("\n"):
+        number = _NUMBER.match(line)
+        rows += wrap([(line, PLAIN)], columns, number.end() if number else 0)
+    return "\n".join(map(plain, rows))
 
 
 def table(rows: list[Line]) -> list[Line]:

@@ -7,6 +7,15 @@ from failstop.data import Data
 MOST_SHOWN = 160
 """Characters of a value shown in a message."""
 LONGEST_TEXT = 255
+UNITS = frozenset(
+    (
+        *("ns", "us", "ms", "s", "min", "h"),
+        *("m", "mm", "cm", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "deg/s", "degrees"),
+        *("turns/s", "rps", "rpm", "Hz", "kHz"),
+        *("V", "mV", "A", "%", "g", "C", "bytes", "kB", "MB", "GB", "baud"),
+    )
+)
+"""Units as they follow a number in a sentence. A line is not broken between the two."""
 
 
 class SettingError(ValueError):

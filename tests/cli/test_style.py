@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.cli import style
+from failstop.policy.setting import UNITS
+from failstop.policy.settings import BY_KEY
+from failstop.supervisor.events import LEAST_COLUMNS, fold
+from failstop_lab.commands import on_stand, probe, prove
 
 LEGIBLE = 3.8
 TERMINAL = {"TERM": "xterm-256color"}
@@ -55,7 +62,7 @@ def test_paint_without_a_terminal_is_plain() -> None:
 texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x4FFF, exclude_categories=("Cc", "Cs")), max_size=60)
 
 
-commands = st.text(alphabet="ab `pid1\u4e00", max_size=60)
+commands = st.text(alphabet="ab `pid1 ms\u4e00", max_size=60)
 
 
 @given(st.lists(st.tuples(texts | commands, st.sampled_from(["", style.OK])), max_size=5), st.integers(20, 90))
@@ -81,6 +88,61 @@ def test_a_command_is_never_broken() -> None:
     line = [("see to it, then ", ""), ("`failstop reset`", style.STRONG), (", then more", "")]
     rows = [style.plain(row) for row in style.wrap(line, 24, 2)]
     assert "  `failstop reset`, then" in rows
+
+
+NUMBERS = ["written after 231 us", "(at 0.05 m/s)", "in 3.4 ms,", "of 2000 bytes.", "2 h 5 min", "at 90 %"]
+
+
+@pytest.mark.parametrize("text", NUMBERS)
+@pytest.mark.parametrize("wrap", [lambda text, columns: lines_of(text, columns), lambda *of: fold(*of, 2).split("\n")])
+def test_a_number_and_its_unit_stay_together(wrap: Callable[[str, int], list[str]], text: str) -> None:
+    line = f"{'x ' * 20}{text} and more, and more, and more, and more"
+    whole = re.findall(r"[0-9.]+ [^ ]+", text)
+    for columns in range(LEAST_COLUMNS, len(line)):
+        rows = wrap(line, columns)
+        assert " ".join(row.strip() for row in rows) == line
+        assert all(any(pair in row for row in rows) for pair in whole), rows
+        assert max(map(len, rows)) <= columns
+
+
+def lines_of(text: str, columns: int) -> list[str]:
+    return [style.plain(row) for row in style.wrap([(text, style.PLAIN)], columns, 2)]
+
+
+def test_a_line_is_broken_after_a_number_that_has_no_unit() -> None:
+    assert lines_of("stop number 12 shown", 15) == ["stop number 12", "  shown"]
+    assert lines_of("stop number 12 s", 15) == ["stop number", "  12 s"]
+
+
+def test_each_setting_s_unit_is_known() -> None:
+    units = {word for declared in BY_KEY.values() for word in declared.unit.split()[:1]}
+    assert units - UNITS == set()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        prove.SAFETY.format(
+            fastest="0.20 m/s, 0.35 m/s and 1.0 rad/s",
+            count=120,
+            minutes=7,
+            device="/dev/ttyUSB0",
+            word="spin",
+            arm=prove.ARM_WARNING.format(reach=0.25),
+        ),
+        probe.WARNING.format(seconds=15, count=12, word="spin"),
+        on_stand.WARNING.format(device="/dev/ttyUSB0"),
+    ],
+    ids=["prove", "probe", "chaos"],
+)
+@pytest.mark.parametrize("columns", [40, 72, 80])
+def test_a_warning_before_wheels_turn_fits_the_terminal(text: str, columns: int) -> None:
+    rows = style.paragraphs(text, columns).split("\n")
+    assert max(map(len, rows)) <= columns
+    assert " ".join(" ".join(rows).split()) == " ".join(text.split())
+    assert not any(row.strip() in (".", ",") for row in rows)
+    for item in (row for row in rows if row.startswith("     ")):
+        assert item[5] != " ", "behind the number"
 
 
 def test_a_table_is_aligned() -> None:

@@ -212,7 +212,8 @@ def test_nobody_to_tell_it_to_is_no_reason_not_to_stop(stderr: str, board: tuple
         done = subprocess.run(command, stdout=full, stderr=to, text=True, timeout=20, check=False)
     assert done.returncode == 1
     sent = (
-        f"failstop: stop frame for {BOARD.name} sent (after 0.0 s), directly to {link}; no settings name another board\n"
+        f"failstop: stop frame for {BOARD.name} sent (after 0.0 s), directly to {link}; "
+        "no settings name another board\n"
         f"{unanswered(link)}"
     )
     assert (done.stderr or "").endswith(sent * (to != full))

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 
 from failstop import config, instances
 from failstop.api.errors import FailstopError, Refused
+from failstop.cli import style
 from failstop.files.instance import DEFAULT_NAME
 from failstop.setup.ending import interruptible
 from failstop_lab.commands import check_json, matching
@@ -22,10 +23,9 @@ from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import Path, Turning, within
 
 WARNING = """\
-THIS TURNS THE WHEELS on {device},
-and kills the programs that stop them, at random. Ctrl-C stops the wheels. Keep
-the POWER SWITCH at hand. The stops are judged by the board's answers and its IMU.
-"""
+THIS TURNS THE WHEELS on {device}, \
+and kills the programs that stop them, at random. Ctrl-C stops the wheels. Keep \
+the POWER SWITCH at hand. The stops are judged by the board's answers and its IMU."""
 
 
 def run(arguments: Namespace, seed: int, default_s: float) -> int:
@@ -39,7 +39,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     config.load(path)
     check_free(device, DEFAULT_NAME, *instances.listening())
     check_json(arguments.json)
-    sys.stderr.write(WARNING.format(device=device))
+    style.warn(WARNING.format(device=device))
     print(f"seed {seed}, {len(chosen)} stop paths", file=sys.stderr, flush=True)
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-", ignore_cleanup_errors=True) as folder:
         stand = ProveStand(device, config.read(path), folder)

@@ -38,14 +38,14 @@ failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 WORD = "spin"
 DIAMETER_M = 0.08
 WARNING = """\
-THIS TURNS THE WHEELS slowly, {count} times, for up to {seconds:.0f} s each, and makes the program
+THIS TURNS THE WHEELS slowly, {count} times, for up to {seconds:.0f} s each, and makes the program \
 that drives them fail. The wheels may keep turning until the probe stops them.
 
   1. The robot is on a stand: every wheel is OFF THE GROUND and free to turn.
   2. No person, hair, clothing, cable or tool is near the wheels.
   3. The POWER SWITCH is at hand.
 
-Ctrl-C stops the wheels. Type "{word}" to begin, or anything else to quit: """
+Ctrl-C stops the wheels. Type "{word}" to begin, or anything else to quit:"""
 ENDED_BY_PERSON = "interrupted"
 NEVER_TURNED = "no wheel was turned"
 
@@ -145,8 +145,7 @@ def _say(text: str) -> None:
 def _consent(arguments: Namespace, count: int) -> None:
     if arguments.yes:
         return
-    sys.stderr.write(WARNING.format(seconds=15, count=count, word=WORD))
-    sys.stderr.flush()
+    style.warn(WARNING.format(seconds=15, count=count, word=WORD), end=" ")
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
 

@@ -46,24 +46,23 @@ RUN_S = 3.5
 KNOWN = (*BY_PATH, *BY_ARM_PATH)
 SPEEDS = ", ".join(f"{turning.name} ({turning.words})" for turning in BY_TURNING.values())
 ARM_WARNING = """\
-  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad.
-     Nobody and nothing is in its reach.
+  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad. \
+Nobody and nothing is in its reach.
 
 """
 SAFETY = """\
-THIS TURNS THE WHEELS, at {fastest},
+THIS TURNS THE WHEELS, at {fastest}, \
 and kills the programs that stop them: {count} runs, about {minutes:.0f} min.
 The board is at {device}.
 
   1. The robot is on a stand: every wheel is OFF THE GROUND and free to turn.
-  2. No person, hair, clothing, cable or tool is near the wheels, and nobody
-     will come near.
+  2. No person, hair, clothing, cable or tool is near the wheels, and nobody will come near.
   3. The POWER SWITCH is at hand, and you will use it if the wheels keep turning.
-  4. You know that failstop is a protective stop by software, not an emergency
-     stop in the sense of ISO 13850.
+  4. You know that failstop is a protective stop by software, not an emergency \
+stop in the sense of ISO 13850.
 
 {arm}Ctrl-C stops everything at any time.
-Type "{word}" to begin, or anything else to quit: """
+Type "{word}" to begin, or anything else to quit:"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -166,10 +165,8 @@ def _ask_consent(device: str, plan: Plan, *, has_arm: bool) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
     arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
     minutes = max(1.0, len(plan) * RUN_S / 60)
-    sys.stderr.write(
-        SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, device=device, word=WORD, arm=arm)
-    )
-    sys.stderr.flush()
+    text = SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, device=device, word=WORD, arm=arm)
+    style.warn(text, end=" ")
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
 
