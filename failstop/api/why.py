@@ -150,6 +150,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
         return None, never if age_s is None else f"it last sent something {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
         change = verdict.newest(events, verdict.CHANGES)
+        if change and change.kind == "ready":
+            return change.t, "nobody has enabled motion since the service was started"
         return (change.t, change.what.removeprefix("motion disabled: ")) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven since then, because not every start is reported.

@@ -84,6 +84,18 @@ def test_disabled_since_the_event_that_made_it_so() -> None:
     )
 
 
+def test_after_a_start_it_says_that_nobody_has_enabled_motion_yet() -> None:
+    ready = event("ready", "'left' is ready: it has told the wheels to stop, and motion is disabled", 5.1)
+    when = words.clock(NOW_S - 5.1, NOW_S)
+    found = why(state(name="left"), ready, event("link", "the board answers", 4))
+    assert found.what == (
+        f"motion has been disabled since {when}, 5.1 s ago: nobody has enabled motion since the service was started"
+    )
+    assert (found.since, found.do) == (NOW_S - 5.1, ("`failstop enable --name left`",))
+    later = why(state(), ready, event("enabled", "motion enabled", 3), event("disabled", "motion disabled by nav", 2))
+    assert "since the service was started" not in later.what
+
+
 def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:
     proof = why(state(last_stop=stop())).proof
     assert proof.startswith(f"the last stop (key1; {words.ago(NOW_S - 12, NOW_S)}): written by the port owner")
