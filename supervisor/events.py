@@ -46,7 +46,7 @@ PREFIX = "failstop: "
 """The first word of the service's lines, and of the errors of commands."""
 JOINED = "\0"
 """Marks a space at which a line must not be broken."""
-ENDS = ".,;:!?)]'\""
+AFTER_UNIT = ".,;:!?)]'\""
 """What may follow the unit of a number."""
 
 
@@ -76,7 +76,7 @@ def _words(text: str, room: int) -> list[str]:
     parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     whole: list[str] = []
     for word in "`".join(parts).split(" "):
-        if whole and whole[-1][-1:].isdecimal() and word.rstrip(ENDS) in UNITS:
+        if whole and whole[-1][-1:].isdecimal() and word.rstrip(AFTER_UNIT) in UNITS:
             whole[-1] += JOINED + word
         else:
             whole.append(word)

@@ -39,7 +39,7 @@ QUESTIONS = {
     "stays capped, because nobody has confirmed it",
     **{
         f"wheel_{number - 1}": f"which wheel the motor with id {number - 1} turned, and which way: fl+ means front "
-        "left, forward; on a robot with two wheels type left+ or right+"
+        "left, forward (left+ on a robot with two wheels)"
         for number in NUMBERS
     },
     "forward": "yes: every wheel turned forward when all wheels turned together",
