@@ -94,7 +94,9 @@ NUMBERS = ["written after 231 us", "(at 0.05 m/s)", "in 3.4 ms,", "of 2000 bytes
 
 
 @pytest.mark.parametrize("text", NUMBERS)
-@pytest.mark.parametrize("wrap", [lambda text, columns: lines_of(text, columns), lambda *of: fold(*of, 2).split("\n")])
+@pytest.mark.parametrize(
+    "wrap", [lambda text, columns: lines_of(text, columns), lambda text, columns: fold(text, columns, 2).split("\n")]
+)
 def test_a_number_and_its_unit_stay_together(wrap: Callable[[str, int], list[str]], text: str) -> None:
     line = f"{'x ' * 20}{text} and more, and more, and more, and more"
     whole = re.findall(r"[0-9.]+ [^ ]+", text)
