@@ -212,6 +212,8 @@ def _lived(old: Path, new: Path, rounds: int, system: Path) -> list[stats.Row]:
         upgrades = []
         for turn in range(rounds):
             progress(f"upgrade {turn + 1} of {rounds}")
+            # Nobody upgrades so often that systemd refuses to start it (StartLimitBurst).
+            place.box.ctl("reset-failed", UNIT)
             upgrades.append(upgraded(place))
             if turn + 1 < rounds:
                 place.dpkg("--force-confold", "--force-downgrade", "-i", "/packages/old.deb")
