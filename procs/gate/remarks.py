@@ -3,8 +3,6 @@ themselves. Pure."""
 
 from __future__ import annotations
 
-import re
-
 from failstop.messages import records
 from failstop.messages.packing import Note
 from failstop.policy.causes import Reply
@@ -29,8 +27,9 @@ VERBS = {
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """A client that repeats a request endlessly causes five notes per second, not a thousand."""
-AGE = re.compile(r"(\d+(\.\d+)? (ms|s|min|h|days?)\b ?)+")
-"""A length of time in a client's report, as words.span writes it."""
+AGES = ("ms", "s", "min", "h", "day", "days")
+"""The units of a length of time in a client's report, as words.span writes it. A regular expression would cost the gate
+the import of `re` at each start."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
 """The shortest time between two notes about drivers that fall silent. A program that commands less often than its
@@ -158,9 +157,16 @@ class SelfReports:
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 
-def _ageless(text: str) -> str:
-    """The text without its lengths of time. A report that only grows older is no news, and would fill the log."""
-    return AGE.sub("", text)
+def _ageless(text: str) -> list[str]:
+    """The words of a text without its lengths of time. A report that only grows older is no news, and would fill the
+    log."""
+    kept: list[str] = []
+    for word in text.split(" "):
+        if kept and word.rstrip(";,.") in AGES and kept[-1].replace(".", "", 1).isdecimal():
+            kept.pop()
+        else:
+            kept.append(word)
+    return kept
 
 
 def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
