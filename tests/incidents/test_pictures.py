@@ -33,6 +33,7 @@ def incident() -> Incident:
     return made.incident()
 
 
+@pytest.mark.starts
 def test_no_line_is_drawn_across_a_gap_in_the_reports_of_the_wheels() -> None:
     pytest.importorskip("matplotlib")
     import numpy as np
