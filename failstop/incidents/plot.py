@@ -234,7 +234,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
 
 PANELS: tuple[Panel, ...] = (
     ("Velocity (dashed: commanded)", 1.85, _velocity),
-    ("Wheel speeds written to the board (rps); dotted: as it reports them", 1.6, _wheels),
+    ("Wheel speeds, rps (dotted: as reported)", 1.6, _wheels),
     ("Where the arm was sent (pulses of 0.24 degrees)", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),

@@ -31,7 +31,8 @@ class Strip:
         self._found: list[Image.Image] = []
 
     def add(self, tab: Tab) -> None:
-        """A picture of it."""
+        """A picture of its top."""
+        tab.run("scrollTo(0, 0)")  # a tap brings its button into view
         tab.picture(self._path)
         with Image.open(self._path) as found:
             high = round(found.height * WIDE / found.width)
