@@ -161,9 +161,6 @@ class Pty:
     def clean(self) -> bytes:
         """Make the terminal as new for the next driver, after the last one has gone. Returns what the last driver wrote
         and nobody has read. Raises HungUp."""
-        found = b""
-        while part := self.read()[0]:
-            found = (found + part)[-MOST_READ:]
         self._left = b""
         with _alive():
             # A driver that stopped its output (tcflow, or XOFF) would leave the next one's writes where nobody reads
@@ -172,6 +169,10 @@ class Pty:
             tty.setraw(self.slave, termios.TCSANOW)
             # Not what is on its way here: the next driver may have written already.
             termios.tcflush(self.slave, termios.TCIFLUSH)
+        # Only now: while the terminal echoes, what the board said may come back here as if a driver had written it.
+        found = b""
+        while part := self.read()[0]:
+            found = (found + part)[-MOST_READ:]
         self.exclusive(on=False)
         return found
 
