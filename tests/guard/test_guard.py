@@ -75,8 +75,10 @@ def test_a_service_that_is_started_again_takes_its_driver_again(scene: GuardScen
 def test_a_dead_service_is_reported_as_dead_and_not_taken_for_the_next_one(scene: GuardScene) -> None:
     service = Service(scene.trial.name)
     assert service.look(time.monotonic_ns())
+    scene.trial.service.pids()
     scene.trial.leave()
     scene.trial.service.kill()
+    wait_for("every process to be gone", scene.trial.service.gone)
     service.join("a driver", None)
     ended = f"the service {scene.trial.name!r} has ended; the guard waits until it is started again"
     assert service.note == ended
