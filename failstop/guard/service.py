@@ -44,7 +44,6 @@ class Service:
         self._client: Client | None = None
         self._who: tuple[str, int | None] | None = None
         self._tried_ns = -AGAIN_NS
-        self._ended = f"the service {name!r} has ended; the guard waits until it is started again"
 
     def look(self, now_ns: int) -> bool:
         """True if a service is running. If none is, it is looked for every AGAIN_NS."""
@@ -74,7 +73,7 @@ class Service:
 
     def _drop(self) -> None:
         self._reader = None
-        self.note = self._ended
+        self.note = f"the service {self.name!r} has ended; the guard waits until it is started again"
         self._leave(in_order=True)
 
     def _connect(self) -> None:
@@ -82,13 +81,11 @@ class Service:
         try:
             self._client = Client(self.name, self._who[0], pid=self._who[1])
             self.note = ""
-        except NoService as error:
+        except FailstopError as error:
             if self._reader and self._reader.over():
                 self._drop()
             else:
                 self.note = str(error)
-        except FailstopError as error:
-            self.note = str(error)
 
     def join(self, who: str, pid: int | None) -> None:
         """Speak for this program from now on. `pid` None: for the guard itself."""

@@ -171,7 +171,7 @@ def _ageless(text: str) -> list[str]:
 
 def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
     _, _, who, _, sees, wrong = row
-    if before and (before[4:] == row[4:] or [*map(_ageless, before[4:])] == [*map(_ageless, row[4:])]):
+    if before and [*map(_ageless, before[4:])] == [*map(_ageless, row[4:])]:
         return None
     fields: dict[str, str | int | float] = {"who": who, "sees": sees, "wrong": wrong}
     if wrong and (before is None or _ageless(before[5]) != _ageless(wrong)):
