@@ -1,7 +1,7 @@
-"""The supervisor's part of the black box: its own ring, and starting the saver after a latched stop.
+"""The supervisor's part of the black box: it fills its own ring, and starts the saver after a latched stop.
 
-The saver (failstop/incidents/saver.py) is a process of its own, at ordinary priority, in its own session. The
-supervisor never waits for it, except at the end of the service, and then for FINISH_S at most.
+The saver (failstop/incidents/saver.py) is a separate process at ordinary priority, in its own session. The supervisor
+never waits for the saver, except at the end of the service, and then for at most FINISH_S.
 """
 
 from __future__ import annotations
@@ -23,33 +23,36 @@ from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
-"""The saver starts this long after the stop. Starting it holds the supervisor until the new process has a core, which
-must not use up the gate's lease. So it happens before anyone has enabled motion again, once the repeats at 20 and 100
-ms are out."""
+"""How long after a stop the saver is started. Starting it blocks the supervisor until the new process gets a core, and
+that must not use up the gate's lease. So the saver starts before anyone can have enabled motion again, but after the
+stop's repeats at 20 and 100 ms."""
 COPY_NS = 2_200_000_000
-"""The saver copies the rings this long after the stop. Nothing more is learned about a stop after 2.0 s (proof.py)."""
+"""How long after a stop the saver copies the rings. Everything that can be learned about a stop is known after 2.0 s
+(proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""The longest time that the saver of a dead run waits for the service to be ready."""
+"""The longest time that the saver for a dead run waits until the service is ready."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
-"""How many stops may wait for a saver. That is enough, because a person must reset each stop before the next one can be
-latched."""
+"""How many stops may wait for a saver. A person must reset each stop before the next one can be latched, so this is
+enough."""
 ON_TIME_NS = START_NS
-"""A saver that is later than this waits until nothing moves, because somebody may have enabled motion by then."""
+"""A saver that is later than this waits until nothing moves, because someone may have enabled motion in the
+meantime."""
 GIVE_UP_NS = 30_000_000_000
-"""After this time the rings hold less than half a minute before the stop."""
+"""A stop that has waited this long for a saver is not saved. After this time the rings hold less than half a minute
+from before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
-    """The supervisor's part of the black box. Call begin() once the other processes are started, and poll() once per
-    turn."""
+    """The supervisor's part of the black box. Call begin() once, after the other processes have been started, and
+    poll() once per turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
-        """`moves`: returns True while motion is enabled, or motion was the last thing written."""
+        """`moves`: returns True while motion is enabled, or if motion was the last thing that was written."""
         self._run, self._moves = run, moves
         self._events = run.events
         self._on = run.settings.on("incidents.save")
@@ -59,21 +62,21 @@ class BlackBox:
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESS_NAMES]
         self._silences = [(0, 0)] * len(self._beats)
-        """The longest silence of each process since the last sample, and when it was seen, both in ns."""
+        """For each process, its longest silence since the last sample, and when that silence was seen, both in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """The savers that are not started yet: when to start each of them, and its command line."""
+        """The savers that are not started yet, as (when to start the saver, its command line)."""
         self._savers: dict[int, _socket.socket] = {}
-        """The socket to each running saver, by its pid. When the supervisor closes it, the saver copies at once. The
-        saver sends its report on it."""
+        """The socket to each running saver, by the saver's pid. When the supervisor shuts its side down, the saver
+        copies at once. The saver sends its report on the same socket."""
         self._for_dead_run = 0
-        """The pid of the saver that waits for this run to be ready, or 0."""
+        """The pid of the saver for a dead run, while it waits until this run is ready. 0 if there is none."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
         self._ring.put(box.OWN_BURST_RECORD, now_ns)
 
     def latched(self, stop: Stop, epoch: int) -> None:
-        """Save what led to a stop that was just latched and published, and what follows it."""
+        """Plan to save what led to a stop that was just latched and published, and what followed it."""
         self._sample(monotonic_ns())
         if self._on and len(self._waiting) >= MOST_STOPS_WAITING:
             self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
@@ -82,7 +85,8 @@ class BlackBox:
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
     def poll(self, now_ns: int, *, ready: bool) -> None:
-        """Call once per turn, at its end, before the supervisor's own beat."""
+        """Sample the heartbeats, and start and reap savers. Call it once per turn, at the end, before the supervisor
+        beats."""
         ages = ((now_ns - (beat.get() or now_ns), now_ns) for beat in self._beats)
         self._silences = list(map(max, self._silences, ages))
         if now_ns - self._sampled_ns >= SAMPLE_NS:
@@ -96,7 +100,7 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the saver that is due, if there is room for it and its start can't hold up a driver."""
+        """Start the saver that is due, unless too many savers run already or its start could hold up a driver."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
@@ -111,8 +115,8 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """Start the saver for an earlier run that did not end cleanly. It copies nothing and uses no processor time
-        until this run is ready; starting it later would hold up a driver."""
+        """Start the saver for an earlier run that did not end cleanly. Until this run is ready, it copies nothing and
+        uses no processor time. It is started now because starting it later would hold up a driver."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
@@ -120,7 +124,7 @@ class BlackBox:
             os.close(left.popitem()[1])
 
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
-        """Start a saver and return its pid; 0 if the machine is out of descriptors or processes."""
+        """Start a saver and return its pid. Returns 0 if the machine has no descriptors or processes left."""
         ends: list[_socket.socket] = []
         try:
             ends += _socket.socketpair()
@@ -139,7 +143,7 @@ class BlackBox:
         return pid
 
     def _hasten(self, pid: int) -> None:
-        """Make a saver copy now, if it still runs."""
+        """Make the saver with this pid copy now, if it still runs."""
         with contextlib.suppress(OSError, KeyError):
             self._savers[pid].shutdown(_socket.SHUT_WR)
 
@@ -154,7 +158,7 @@ class BlackBox:
                 self._log_saved(code, told if isinstance(told, dict) else None)
 
     def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Log what a saver has saved, or what went wrong. `told`: its report; None if it sent none."""
+        """Log what a saver has saved, or what went wrong. `told`: the saver's report, or None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}
@@ -171,7 +175,7 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Save everything that still waits, at once. Called at the end of the service, after its stops are written."""
+        """Save every stop that still waits, at once. Called at the end of the service, after its stops are written."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

@@ -1,7 +1,8 @@
-"""The script that every process of the service starts with: `python -I -S bootstrap.py PROCESS key=value ...`.
+"""The script that starts every process of the service: `python -I -S bootstrap.py PROCESS key=value ...`.
 
-Run by the supervisor, and by `failstop run` for the supervisor itself. It runs without the site module, which costs
-more than all of a small process's own imports; the starting process passes its own search path instead.
+The supervisor runs this script for each of its children, and `failstop run` runs it for the supervisor. Python's site
+module is left out, because it costs a small process more than all of its own imports. So the starting process passes
+its own search path in an environment variable.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ PATH_VARIABLE = "FAILSTOP_PATH"
 
 
 def main(argv: list[str]) -> int:
-    """Run one process until it ends; returns its exit code."""
+    """Run the process that `argv` names until it ends. Returns its exit code."""
     sys.path[:] = os.environ[PATH_VARIABLE].split(os.pathsep)
     words = dict(word.split("=", 1) for word in argv[2:])
     try:
@@ -41,9 +42,9 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """End a process that can't go on. Print the traceback as Python would, without source lines and only if stderr
-    accepts it, then die at once as if killed. A normal shutdown of the interpreter would take 5 ms, and meanwhile no
-    other process would stop the robot for this one."""
+    """Print the error and end this process at once, as if it had been killed. The traceback looks like Python's, but
+    has no source lines, and it is printed only if stderr can take it. A normal exit of the interpreter would take 5 ms.
+    The other processes would notice the death that much later, and so stop the robot that much later."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

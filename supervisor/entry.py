@@ -1,5 +1,5 @@
-"""The supervisor's entry point. The supervisor replaces `failstop run` in the same process, and by then the stop is
-written, the port is open and the name is locked."""
+"""The supervisor's entry point. `failstop run` becomes the supervisor by exec, in the same process. By then it has
+already opened the port, written the first stop and locked the instance's name."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from failstop.supervisor.run import Run
 
 
 def start(words: dict[str, str]) -> int:
-    """Run the service; returns the exit code."""
+    """Run the service until it ends. Returns the exit code."""
     rights.name_process("fs:supervisor")
     # A parent may have left signals ignored or blocked, and exec passes that on. Without SIGCHLD no child can be
-    # reaped, and a blocked signal can't end the service. SIGHUP stays ignored if it is, because a user of nohup wants
-    # that. SIGCONT is blocked and polled (main.py), because a handler might run too late; it continues the process
-    # even so.
+    # reaped, and a blocked signal can't end the service. SIGHUP stays ignored if the parent ignores it, because nohup
+    # depends on that. SIGCONT is blocked and polled (main.py), because a handler might run too late. A blocked SIGCONT
+    # still continues a suspended process.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
@@ -47,7 +47,7 @@ def start(words: dict[str, str]) -> int:
         port.drain()
         port.close()
         return 1
-    # Skipped if the service fails: then every moment counts, and the next run saves the rings that are left.
+    # Skipped if the service fails. Then every moment counts, and the next run saves the black box's rings.
     code = _serve(supervisor)
     run.remove()
     port.close()  # an exit would wait for a port that does not drain
@@ -55,8 +55,9 @@ def start(words: dict[str, str]) -> int:
 
 
 def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
-    """Create the supervisor of a run, then publish the run's name. The heartbeat and the process table come first,
-    because a client reads them as soon as it finds the name. Raises whatever Run raises, and leaves nothing behind."""
+    """Create the supervisor of a run, then publish the run's name. The supervisor's heartbeat and process table come
+    first, because clients read both as soon as they find the name. Raises whatever the constructor or publish() raises,
+    and then removes the run."""
     try:
         supervisor = Supervisor(run, port, notify)
         run.publish(kept.pack_stop(port.board))
@@ -67,7 +68,7 @@ def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
 
 
 def _serve(supervisor: Supervisor) -> int:
-    """Serve until SIGTERM or SIGINT, or until it can't go on; returns the exit code."""
+    """Serve until SIGTERM or SIGINT, or until the supervisor can't go on. Returns the exit code."""
     supervisor.handover.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
@@ -84,9 +85,9 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _keep_descriptors(lock: int, port: int) -> int:
-    """Close all other inherited descriptors, and move these two to small numbers, because select() can't use numbers
-    from 1024 on. Children inherit neither of them. The lock stays open for the life of this process; returns the new
-    number of the port."""
+    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. The lock and the port move
+    to small numbers, because select() can't use numbers from 1024 on. Children inherit neither. The lock stays open for
+    the life of this process. Returns the port's new number."""
     with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
             with contextlib.suppress(OSError):  # the descriptor of the listing itself

@@ -1,6 +1,6 @@
-"""Events: what the supervisor reports to people, in the journal or on stderr, and to programs, in a ring.
+"""Events: what the supervisor reports to people (in the journal or on stderr) and to programs (in a ring).
 
-An event is queued first and sent by flush() at the end of the turn, when the bytes of a stop are out.
+An event is only queued at first. flush() sends it at the end of the turn, when the bytes of a stop have been written.
 """
 
 from __future__ import annotations
@@ -25,34 +25,36 @@ FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
-"""The longest time that events wait for the bytes of a stop. If a stop can be written at all, it is out within 5 ms."""
+"""The longest time that events wait until the bytes of a stop are written. If a stop can be written at all, it is
+written within 5 ms."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""How long an event's text may be, the same as packing.NOTE_CUTS."""
+"""How long an event's text may be; the same limits as packing.NOTE_CUTS."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""Kinds of events that anyone can cause again and again. A stop is not one of them, because it can only be latched
-again after a reset."""
+"""Kinds of events that anyone can cause again and again. The kind "stop" is not one of them, because after a reset it
+can happen only once."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""How many bytes each kind and level may log per minute: twice the size of a dozen stops a second."""
+"""How many bytes each kind and level may log per minute. A dozen stops per second need half of it."""
 REPEATS_BYTES = 8192
-"""Bytes per minute for requests that repeat what is latched. Anyone can make them without end, and they change
-nothing."""
+"""How many bytes per minute may be logged for requests that repeat a latched stop. Anyone can make such requests
+without end, and they change nothing."""
 LEAST_COLUMNS = 40
-"""With fewer columns a hanging indent leaves too little room."""
+"""Text is not folded if the terminal has fewer columns than this, because the indent would leave too little room."""
 PREFIX = "failstop: "
-"""The first word of the service's lines, and of the errors of commands."""
+"""The first word of the service's log lines and of the commands' error messages."""
 JOINED = "\0"
-"""Marks a space at which a line must not be broken."""
+"""Stands for a space at which a line must not be broken."""
 AFTER_UNIT = ".,;:!?)]'\""
-"""What may follow the unit of a number."""
+"""Punctuation that may follow a number's unit."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
-    """Break the text into lines of at most `width` columns, indenting all but the first. A command in backquotes stays
-    whole if it fits, and so does a number with its unit; a single word longer than a line is left to the terminal."""
+    """Break the text into lines of at most `width` columns. All lines but the first are indented. A command in
+    backquotes stays on one line if it fits, and so does a number with its unit. A single word that is longer than a
+    line is not broken."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
@@ -70,8 +72,8 @@ def fold(text: str, width: int, indent: int) -> str:
 
 
 def _words(text: str, room: int) -> list[str]:
-    """The pieces that may not be broken: words, numbers with their units, and commands in backquotes with the
-    punctuation next to them."""
+    """The pieces of the text that must not be broken: words, numbers with their units, and commands in backquotes with
+    the punctuation next to them. A piece longer than `room` columns is split at its spaces."""
     parts = text.split("`")
     parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     whole: list[str] = []
@@ -87,7 +89,7 @@ def _words(text: str, room: int) -> list[str]:
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it should be written to this descriptor: folded if it is a terminal."""
+    """The text as it should be written to the descriptor `fd`: folded if it is a terminal."""
     try:
         return fold(text, os.get_terminal_size(fd).columns, indent)
     except (OSError, ValueError):
@@ -95,8 +97,8 @@ def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
 
 
 def say(text: str) -> None:
-    """Write one line to stderr, broken at words on a terminal. The line is dropped if the log can't be written or is
-    blocked (a full pipe, a terminal held by Ctrl-S), because that is no reason to stop working."""
+    """Write one message to stderr, folded if stderr is a terminal. The message is dropped if stderr can't be written or
+    is blocked (a full pipe, a terminal paused by Ctrl-S), because that is no reason to stop working."""
     try:
         if select.select((), (STDERR,), (), 0)[1]:
             os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
@@ -105,8 +107,8 @@ def say(text: str) -> None:
 
 
 class Events:
-    """The only place where events leave the service: to the journal if there is one, else as lines on stderr, and to
-    the ring."""
+    """Sends the service's events. They go to the ring and to the journal, or to stderr if there is no journal. No other
+    part of the service sends events."""
 
     def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
         """`name`: the name of the instance."""
@@ -115,7 +117,7 @@ class Events:
         self._journal = journal
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
-        """When the minute began for which the allowances count."""
+        """When the current minute began. Each sort of event has an allowance of bytes per minute."""
         self._spent: Counter[FloodSort] = Counter()
         """How many bytes of each sort were logged in this minute."""
         self._left_out: Counter[FloodSort] = Counter()
@@ -124,8 +126,8 @@ class Events:
     def log(
         self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""
     ) -> None:
-        """Queue an event of a kind from kinds.py (any other becomes a note), at the kind's level unless `level` is
-        given. `step`: what to do next. A field that is None is left out."""
+        """Queue an event. `kind`: a kind from kinds.py; an unknown kind becomes a note. `level`: replaces the kind's
+        own level if given. `step`: what the reader can do next. Fields whose value is None are left out."""
         known = EVENT_BY_NAME.get(kind) or EVENT_BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
@@ -135,13 +137,13 @@ class Events:
             self._left_out[known.name, level, _asked(known.name, given)] += 1
 
     def command(self, words: str) -> str:
-        """A command that the reader can type next, in backquotes, for this instance."""
+        """A command that the reader can type next, in backquotes, with the option for this instance."""
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
-        """Send the queued events. `hold`: the bytes of a stop are not out yet, so send only events that have waited too
-        long. `now_ns` 0 means the service ends. Dropped events are summed up when the minute is over, or now at the
-        end."""
+        """Send the queued events. `hold`: True while the bytes of a stop are not written; then events are sent only if
+        they have waited for LONGEST_HOLD_NS. `now_ns`: 0 at the end of the service. Dropped events are counted, and the
+        counts are logged when the minute is over or at the end of the service."""
         over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
@@ -158,7 +160,7 @@ class Events:
     def _send(
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
     ) -> None:
-        """Send one event to the ring and the journal, unless its sort has used up its allowance."""
+        """Send one event to the ring and the journal, unless its sort has used up its allowance for this minute."""
         text = f"{what}{NEXT_STEP}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
@@ -172,8 +174,8 @@ class Events:
             say(text)
 
     def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
-        """True while there is room. Once there is none, nothing more of this sort is sent in this minute: a flood
-        should be a few lines and a number, not every other line of it."""
+        """True while this sort of event may still be logged in this minute. Once its allowance is used up, nothing more
+        of the sort is logged until the next minute, so a flood becomes a few lines and a count."""
         if t_ns - self._minute_ns >= MINUTE_NS:
             self._minute_ns, self._spent = t_ns, Counter()
         self._spent[sort] += size
@@ -188,21 +190,21 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for events that anyone could cause again and again, so that they might flood the log."""
+    """True for events that anyone can cause again and again, which might flood the log."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. `what`: how many characters of the text come before its next step; 0 if
-    the text has no next step."""
+    """One event for the ring, as a msgpack map. `what`: how many characters of the text come before the next step; 0 if
+    the text names no next step."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
 
 def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields: dict[str, Value]) -> bytes:
-    """One event of the instance `name` for systemd's journal, in its native protocol."""
+    """One event of the instance `name` as a datagram for systemd's journal, in the journal's native protocol."""
     told: dict[str, Value] = {
         "MESSAGE": text,
         "PRIORITY": LEVELS[level],
@@ -216,8 +218,9 @@ def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields
 
 
 def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
-    """Encode the fields as a journal datagram: `NAME=value` and a line break each. A value that contains a line break
-    is sent as the name, a line break, its length as a little-endian u64, the value, and a line break."""
+    """Encode the fields as a journal datagram. Each field is `NAME=value` and a line break. If the value itself
+    contains a line break, the field is its name, a line break, the value's length as a little-endian u64, the value,
+    and a line break."""
     parts = []
     for name, value in fields:
         data = str(value).encode("utf-8", "replace")
@@ -229,8 +232,8 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 
 def is_journal(stream: str) -> bool:
-    """True when `stream`, the DEVICE:INODE of $JOURNAL_STREAM, is this process's stderr, so that its lines go to the
-    journal. A stderr that was redirected since then has another device or inode."""
+    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM, which is DEVICE:INODE
+    of the stderr that systemd opened. If stderr was redirected since then, its device or inode differs."""
     try:
         found = os.fstat(STDERR)
     except OSError:

@@ -1,4 +1,4 @@
-"""Fit: checks that the board in the settings can do what the settings ask of it."""
+"""Checks that the board named in the settings can do what the settings ask of it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from failstop.policy.settings import Settings
 
 
 def checked_board(settings: Settings, path: str | None) -> Board:
-    """The board that the settings of this file name. Raises SettingError (the board can't do what the settings ask) or
-    OwnBoardError."""
+    """The board named in the settings. `path`: the settings file, for error messages. Raises SettingError if the board
+    can't do what the settings ask, or OwnBoardError."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
     if 0 < (baud := int(settings["board.baud"])) < (usual := usual_baud(kind)):
         text = (
@@ -35,11 +35,11 @@ def checked_board(settings: Settings, path: str | None) -> Board:
 
 
 def usual_baud(kind: str) -> int:
-    """The usual baud rate of a board of this kind."""
+    """The usual baud rate of a board of the kind `kind`."""
     return board_of(kind, 1.0, 0.0).port.baud
 
 
 def slowest_mps(settings: Settings) -> float:
-    """The slowest speed at a wheel's rim that can be commanded, m/s, because slower ones are rounded to zero; 0 if any
-    speed can."""
+    """The slowest speed that can be commanded at a wheel's rim, m/s. The board rounds slower speeds to zero. Returns 0
+    if the board accepts any speed."""
     return board_of(*settings.board()).step_rps * pi * settings["wheels.diameter_m"]

@@ -1,6 +1,7 @@
-"""Kinds: every kind of event, with its level, its MESSAGE_ID and the fields that every such event has.
+"""The table of event kinds: the level of each kind, its MESSAGE_ID, and the fields that every event of the kind has.
 
-The journal's catalog of them is lab/failstop_lab/pages/catalog_texts.py. A MESSAGE_ID never changes its meaning.
+The texts of the journal's message catalog are in lab/failstop_lab/pages/catalog_texts.py. A MESSAGE_ID never changes
+its meaning.
 """
 
 from __future__ import annotations
@@ -8,11 +9,11 @@ from __future__ import annotations
 from failstop.data import Data
 
 LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
-"""The journal's PRIORITY of each level."""
+"""The journal's PRIORITY number for each level."""
 
 
 class EventKind(Data):
-    """One row of the table. `fields`: names, with spaces between them."""
+    """One row of the table of event kinds. `fields`: the names of the event's fields, separated by spaces."""
 
     name: str
     level: str

@@ -1,7 +1,8 @@
-"""The latch and the epochs. The first stop since the last reset is the one that people see.
+"""The latch and the epochs. The latched stop is the first one since the last reset, and people see its cause.
 
-Only the supervisor raises the epoch, latches and resets; every other process reads what it publishes. A process that
-sees a new epoch, with or without its bell, also finds its cause and a service that is not ready.
+Only the supervisor raises the epoch, latches stops and resets. Every other process reads what the supervisor publishes.
+A process that sees a new epoch also finds the cause of that epoch, and finds that the service is not ready. This is
+true even if the process looks before its bell rings.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from failstop.supervisor.stops import Stop
 
 
 class Latch:
-    """The latched stop and its epoch, and the newest stop, latched or not. Pure."""
+    """The latched stop and its epoch, and the newest stop, which may or may not be latched. Pure."""
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
@@ -29,7 +30,7 @@ class Latch:
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:
-        """Add stops that came together; the epoch is being raised to `epoch` for them."""
+        """Add stops that came together. `epoch`: the new epoch that is being raised for them."""
         self.newest = min(stops, key=lambda stop: stop.t_ns)
         self._raised_ns = now_ns
         if self.stop is None:
@@ -38,7 +39,8 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear the latch, unless a stop has come since the request was made at `asked_ns`. Nothing else changes."""
+        """Clear the latch, unless a stop has come since the reset was requested at `asked_ns`. A reset changes nothing
+        else."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
@@ -48,21 +50,22 @@ class Latch:
         return Reply(True, f"latched stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def as_record(self) -> bytes:
-        """The latch as the shared record. Call it only after a stop."""
+        """The latch as the shared record. Call it only after the first stop of a run."""
         told = self.stop or self.newest
         assert told is not None
         return records.LATCH.pack(self.since, told.t_ns, self._raised_ns, told.cause.pack())
 
 
 class Epochs:
-    """The words and records of shared memory that hold the epoch, the latch and the answers to resets."""
+    """The words and records in shared memory that publish the epoch, the latch and the answers to resets."""
 
     def __init__(self, run: Run) -> None:
         own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """Since when a stop waits that was neither answered nor written by the supervisor; 0 if there is none."""
+        """Since when a stop is owed, which means that neither the port owner has answered it nor the supervisor has
+        written it. 0 if no stop is owed."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
@@ -75,7 +78,7 @@ class Epochs:
         self._barrier = Barrier()
 
     def raise_for(self, stops: list[Stop], now_ns: int) -> None:
-        """Publish the cause first, then the raised epoch that refers to it; ring the bells last."""
+        """Raise the epoch for these stops. Publish their cause first, then the new epoch, and ring the bells last."""
         self.number += 1
         self.latch.add(stops, self.number, now_ns)
         self._latch_record.write(self.latch.as_record())
@@ -87,11 +90,11 @@ class Epochs:
         self.owed_ns = self.owed_ns or now_ns
 
     def answered(self) -> bool:
-        """True when the port owner has answered this epoch with a stop."""
+        """True if the port owner has answered the current epoch with a stop."""
         return self._stopped_word.get() >= self.number
 
     def decide_reset(self) -> bool:
-        """Decide the reset that the gate passes on, and publish the answer. True if the latch was reset."""
+        """Decide a reset that the gate has passed on, and publish the answer. Returns True if the reset was granted."""
         number = self._asked_word.get()
         if number == self._decided_word.get():
             return False

@@ -1,8 +1,8 @@
-"""The supervisor's loop. It handles deaths first, then causes that other processes noticed, then starting and watching.
-Only the supervisor raises the epoch.
+"""The supervisor's loop. It answers the deaths of processes first, then the causes that other processes noticed, and
+then starts and watches processes. Only the supervisor raises the epoch.
 
-Each wake-up runs in this order: (1) the burst, when the port owner has died; (2) the epoch and the bells, so that every
-process that can write a stop does; (3) everything that people want to know about it.
+Each wake-up runs in this order: (1) if the port owner has died, write the stop burst; (2) raise the epoch and ring the
+bells, so that every process that can write a stop writes one; (3) log and publish what happened.
 """
 
 from __future__ import annotations
@@ -36,29 +36,31 @@ from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""The time between two beats: a third of the lease, which is how long one beat allows motion."""
+"""The time between two beats of the supervisor. It is a third of the lease, and one beat allows motion for one
+lease."""
 AT_REST_NS = 2 * TICK_NS
-"""The time between two beats while the gate reports that nothing can move, so that no process judges the lease."""
+"""The time between two beats while the gate reports that nothing can move. Then no process checks the lease, so beats
+may come less often."""
 BEATS_ALONE = 2
-"""If nothing has happened, the supervisor only beats in this many ticks before it looks at everything again. Anything
-that happens rings a bell."""
+"""If nothing has happened, the supervisor only sends its heartbeat for this many ticks, and then looks at everything
+again. Anything that happens rings a bell, which wakes it earlier."""
 STOP_ANSWER_NS = 5_000_000
-"""How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
+"""How long the port owner may take to answer a raised epoch. After that, the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""If the supervisor itself was silent for this long, it judges no other process by its silence. Two ticks less than the
-shortest deadline."""
+"""If the supervisor itself was silent for this long, it does not judge any other process by its silence. The value is
+two ticks less than the shortest deadline of a process."""
 CLIENT_SILENT_NS = 150_000_000
-"""A client that beats ten times per second was held up if it was silent for this long."""
+"""A process that beats ten times per second was held up by the machine if it was silent for this long."""
 HEAR_NS = 300_000_000
-"""How long the end of the service waits for the board's answer to its stop. The ping may be 50 ms away
+"""How long the end of the service waits for the board's answer to its stop. The next ping may be sent up to 50 ms later
 (schedule.py)."""
 END_S = 2.0
-"""How long the end of the service waits for each process that it has killed, before the last burst is written."""
+"""How long the end of the service waits for each process that it has killed. The last burst is written after that."""
 
 
 class Supervisor:
-    """The supervisor. Call turn() once per wake-up."""
+    """The supervisor. Call turn() once per wake-up, then rest() to sleep until the next one."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
@@ -83,18 +85,18 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """When the port owner's time to answer is over, or when the first process will count as hanging unless it
-        beats."""
+        """When the supervisor must act next: when the port owner's time to answer is over, or when the first process
+        counts as hanging unless it beats."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
-        """True if the supervisor can't go on. It ends once its stop has been answered."""
+        """True if the supervisor can't go on. The service then ends as soon as its last stop has been answered."""
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
-        """The signal handler of SIGTERM and SIGINT: the service ends at the next turn, which comes at once."""
+        """Handle SIGTERM and SIGINT: end the service at the next turn. The bell makes that turn come at once."""
         self.ending = True
         self._run.bells[layout.SUPERVISOR].ring()
 
@@ -125,7 +127,7 @@ class Supervisor:
         self._due.set(min([*late_ns, *(child.overdue_ns() for child in self.children)]))
 
     def rest(self) -> dict[int, int]:
-        """Sleep until something happens or a timer is due; returns the ready descriptors."""
+        """Sleep until something happens or a timer is due. Returns the ready descriptors."""
         for _ in range(BEATS_ALONE):
             ready = self.loop.wait(self._tick_ns())
             now_ns = monotonic_ns()
@@ -140,10 +142,11 @@ class Supervisor:
         return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
-        """Answer deaths and causes that other processes noticed: write the burst if no other process can, raise the
-        epoch, then do the rest."""
+        """Answer deaths, and causes that other processes noticed. Write the burst if no other process can, raise the
+        epoch, and do everything else later."""
         gap_ns = now_ns - self._turned_ns
-        # A signal has let this process continue since then: SIGCONT is blocked (entry.py).
+        # True if a signal suspended this process since the last turn: SIGCONT has continued it, and is blocked
+        # (entry.py).
         continued = gap_ns >= EXCUSE_NS and signal.sigtimedwait((signal.SIGCONT,), 0)
         suspended_ns = gap_ns if continued else 0
         dead = self.processes.died(ready)
@@ -155,25 +158,25 @@ class Supervisor:
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
-        """Write the burst on the supervisor's own descriptor; returns when it was written, or 0 if it was not."""
+        """Write the burst on the supervisor's own descriptor. Returns when it was written, or 0 if it could not be."""
         written, now_ns = self._port.burst(), monotonic_ns()
         self._repeats.restart(now_ns)
         return self._wrote(now_ns) if written else 0
 
     def _wrote(self, written_ns: int) -> int:
-        """Record that a burst went out on the supervisor's own descriptor at this time, and return the time."""
+        """Record that a burst was written on the supervisor's own descriptor at `written_ns`. Returns that time."""
         self.epochs.owed_ns = 0
         self._written_word.set(written_ns)
         self.blackbox.wrote(written_ns)
         return written_ns
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Follow a port that was lost and one that is back. The opener has already written the burst on a new port, if
-        it could."""
+        """React if the port was lost, or if a lost port is open again. The opener has already written the burst to a
+        port that is open again, if it could."""
         stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
             self.tracker.link.opened(now_ns, sure=sure)
-            if stranger:  # the port owner still has the device open, and takes it for the board
+            if stranger:  # the port owner still has the wrong device open, and takes it for the board
                 self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, causes.DEVICE_LOST())])
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
@@ -185,18 +188,20 @@ class Supervisor:
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """Repeat a stop and send zeros to the board while no port owner has the port."""
+        """While no port owner has the port, repeat the last stop on the supervisor's own descriptor, and then keep
+        sending zeros."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         self._repeats.wait(self._port.free_ns)
         if served:
-            self._repeats.end()  # this port owner stops by itself, and may have been told to move again
+            self._repeats.end()  # this port owner stops by itself, and motion may have been commanded since
         elif self._repeats.pop(now_ns) and self._port.burst():
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """The stop that is needed because the supervisor itself was held up while motion was enabled, so that nobody
-        watched the others. It kills no process for a silence that it did not observe. `suspended_ns`: for how long a
-        signal suspended it since its last turn, or 0."""
+        """The stop that is needed if the machine held up the supervisor itself while motion was enabled, because nobody
+        watched the other processes then. Empty if no stop is needed. No process is killed for a silence that the
+        supervisor did not observe. `suspended_ns`: how long a signal suspended the supervisor since its last turn, or
+        0."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -214,27 +219,28 @@ class Supervisor:
         return []
 
     def _check_names(self, now_ns: int) -> None:
-        """If other processes can't find one of the service's names any more, stop and end the service."""
+        """Stop the robot and end the service if other processes can't find one of the service's names any more."""
         if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self) -> bool:
-        """True while pings are written and their answers are decoded. If one of the two is missing, an unanswered ping
-        does not prove that the board is deaf."""
+        """True while pings are written and their answers are decoded. Otherwise an unanswered ping does not prove that
+        the board is deaf."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         return self._port.fd >= 0 and asks.state == hears.state == RUNNING
 
     def _is_held_up(self, now_ns: int) -> bool:
-        """True if the port owner, telemetry or this process is held up, so that the board's answers are read late."""
+        """True if the machine holds up the port owner, telemetry or this process, so the board's answers are read
+        late."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """All stops that follow from this wake-up. `burst_ns`: when the burst for the port owner's death was
-        written."""
+        """All stops for the news of this wake-up: causes that other processes noticed, and deaths. `burst_ns`: when the
+        burst for the port owner's death was written, or 0."""
         stops = []
         for process, ring in self._stops.items():
             while entry := ring.next():
@@ -248,8 +254,8 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """Raise the epoch for stops that came together, if there are any, and give the port owner a moment to
-        answer."""
+        """Raise the epoch for stops that came together, and give the port owner a moment to answer it. Does nothing if
+        there are no stops."""
         if not stops:
             return
         self.epochs.raise_for(stops, monotonic_ns())
@@ -264,10 +270,11 @@ class Supervisor:
         for stop in stops:
             if stop is not self._unanswered:
                 self.tracker.also(stop)
-        self._run.bells[layout.TELEMETRY].ring()  # for the answer of the board
+        self._run.bells[layout.TELEMETRY].ring()  # so that it reads the board's answer
 
     def _record_answer(self, now_ns: int) -> None:
-        """Record the port owner's stop in answer to a raised epoch. If it gives none, write the burst here."""
+        """Record that the port owner answered a raised epoch with a stop. If it has not in time, write the burst
+        here."""
         stop = self._unanswered
         if stop is None:
             return
@@ -285,9 +292,9 @@ class Supervisor:
         self.tracker.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
-        """True while motion is enabled in this epoch, or the wheels were last told to turn. Read it after the value
-        that you compare it with, because the port owner publishes that it moves before it looks at the epoch for the
-        last time."""
+        """True while motion is enabled in this epoch, or if the port owner has written motion and no whole burst since.
+        If you compare the result with another value, read the other value first, because the port owner publishes that
+        it moves before it checks the epoch for the last time."""
         self._barrier()
         if self._moving_word.get():
             return True
@@ -296,7 +303,8 @@ class Supervisor:
         return bool(gate.get("enabled")) and gate["epoch"] == self.epochs.number
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """Act on a process that has missed its deadline, at that moment and not at the next tick."""
+        """Act on each process that has missed its deadline. A timer wakes the supervisor at the deadline, so this does
+        not wait for the next tick."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
                 is_starved = starved.look(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
@@ -305,16 +313,16 @@ class Supervisor:
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """Stop the robot for a silent process, whatever the reason for the silence. But kill it only if it hangs: a
-        starved process runs again, and its successor on the same machine would be starved too. While motion is disabled
-        there is nothing to stop. The death of a process that was killed does the rest.
+        """Stop the robot because a process is silent, whatever the reason for the silence. Kill the process only if it
+        hangs. A starved process (one that the machine does not run) continues by itself, and a new process on the same
+        machine would be starved too. If a starved process is silent while motion is disabled, there is nothing to stop.
 
             motion    starved: port owner    starved: another             hangs
             enabled   stopped, killed        stopped, latched             stopped, killed, latched
             disabled  logged                 logged                       stopped, killed, latched
 
         A process that was starved for longer than starved.LONGEST_NS is killed too, but that death does not count
-        towards a crash loop.
+        towards a crash loop. After a kill, the answer to the process's death does the rest.
         """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
@@ -326,7 +334,7 @@ class Supervisor:
             if motion:
                 self._raise_epoch([stop])
             return
-        # Killed before the burst: a port owner that wakes up between the two could write one frame more.
+        # Kill before the burst. A port owner that wakes up between the burst and its kill could write one more frame.
         os.kill(child.pid, signal.SIGKILL)
         kill_ns = monotonic_ns()
         stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0
@@ -335,7 +343,7 @@ class Supervisor:
         child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish what motion waits for, and notify the service manager."""
+        """Publish which part of the service motion still waits for, and notify the service manager."""
         link = self.tracker.link
         missing = self.status.missing(stopping=self._unanswered is not None)
         missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.tracker.wheel_servos.waited_for()
@@ -350,13 +358,13 @@ class Supervisor:
 
     def finish(self) -> bool:
         """End the service: stop through the port owner, wait for the board's answer, end every process, and stop again
-        on the supervisor's own descriptor. Returns False if a stop was not sent, or if the board had answered before
-        but did not answer this."""
+        on the supervisor's own descriptor. Returns False if the second stop was not sent, or if the board did not
+        answer the first one although it had answered before."""
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
         while self._unanswered:
             stop, now_ns = self._unanswered, monotonic_ns()
-            if now_ns >= stop.answer_by_ns:  # it hangs, maybe in a write of motion, which must precede the burst
+            if now_ns >= stop.answer_by_ns:  # it hangs, maybe while it writes motion; the burst must come after that
                 self.processes[layout.PORT_OWNER].kill(0)
             self._record_answer(now_ns)
             if self._unanswered:
@@ -378,9 +386,9 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board acknowledges the stop that was written at `stop_ns` (0: none was). Returns how long that
-        took, ns; 0 if it took longer than HEAR_NS, or if the board acknowledges by an echo. The processes that ask and
-        listen must still be alive."""
+        """Wait until the board acknowledges the stop that was written at `stop_ns` (0 if none was written). Returns how
+        long the acknowledgement took, ns. Returns 0 if none came within HEAR_NS or, for a board without pings, within
+        twice its echo time. The port owner, which sends pings, and telemetry, which reads answers, must still run."""
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):

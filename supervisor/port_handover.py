@@ -1,8 +1,9 @@
-"""The port in the supervisor. The supervisor has its own descriptor, for the first stop of a run and for stops that the
-port owner can't write; a thread that opens a lost port again; and the handover to port owner, stopper and telemetry.
+"""The supervisor's side of the port: its own descriptor, a thread that opens a lost port again, and the handover of the
+port to the port owner, the stopper and telemetry.
 
-The supervisor, the port owner, the stopper and telemetry all hold the same port, or none. Only the supervisor opens a
-port and gives it a number; the other three inherit its descriptor or receive it. All four close it at once when the
+With its own descriptor the supervisor writes the first stop of a run, and any stop that the port owner can't write. The
+supervisor and the other three processes all hold the same port, or none of them holds one. Only the supervisor opens a
+port and gives it a number. The other three inherit its descriptor or receive it. All four close it at once when the
 port is gone.
 """
 
@@ -32,36 +33,37 @@ if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and n
 LOOK_NS = 5_000_000
 """How often to look for a lost port."""
 WATCH_S = 1.0
-"""How often to list the devices next to the board, s. After a loss, none of them can be the board."""
+"""How often to list the devices next to the board, s. If the board is lost later, none of the listed devices can be
+it."""
 DOUBT_S = 0.05
-"""How often to look for the board while the open device may not be the board, s."""
+"""How often to look for the board while the open device may be a different one, s."""
 SHARE_NS = 100_000_000
-"""How often to send the port to a process until it has it."""
+"""How often to send the port to a process that could not receive it."""
 BUSY_S = 1.0
-"""How long to wait for a port that the processes of a dead run are still closing, s."""
+"""How long to wait for a port that processes of a dead run are still closing, s."""
 UDEV_S = 2.0
-"""How long udev may take at boot to make an existing device accessible to its users, s."""
+"""How long udev may take at boot until users may access an existing device, s."""
 
 
 class OwnPort(StopPort):
     """The supervisor's own descriptor of the port; -1 while the port is gone."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: the ids of the robot's arm, which is stopped with the wheels; unknown at the first burst of a
-        run."""
+        """`servos`: the ids of the servos of the robot's arm, which is stopped with the wheels. They are not known yet
+        at the first burst of a run."""
         super().__init__(fd, board, servos)
         self.stopped = False
         """True if the kernel has accepted the whole first burst of the run."""
         self.number = 1
-        """How many ports this run has had, which names this one among the processes that share it."""
+        """Counts the ports of this run. The number identifies the port among the processes that share it."""
 
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
-        """Open the board's port and write the burst, the first bytes of a run. While another process holds the port,
-        `held` is called, and may raise. Raises port.PortError."""
+        """Open the board's port and write the burst, which is the first thing that a run writes. While another process
+        holds the port, `held` is called again and again; it may raise. Raises port.PortError."""
         start_s = monotonic()
         while True:
-            # Look before opening: the rights may arrive between a refusal and the look.
+            # Decide this before opening: otherwise udev could grant access between the refusal and this check.
             patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
             try:
                 own = cls(port.open_port(path, exclusive=True, line=board.port), board)
@@ -81,7 +83,7 @@ class OwnPort(StopPort):
 
 
 def _is_new(path: str) -> bool:
-    """True while udev has not yet made a new device accessible to its users."""
+    """True if the device file exists but udev has not given users access to it yet."""
     try:
         node = os.stat(path)
     except OSError:
@@ -90,18 +92,18 @@ def _is_new(path: str) -> bool:
 
 
 class Opener:
-    """A thread of the supervisor that opens a lost port when it is back, and writes the burst on it.
+    """A thread of the supervisor that opens a lost port as soon as it is back, and writes the burst to it.
 
-    Opening a board that is slow to wake up may take seconds, so a thread does it and the supervisor's loop goes on. The
-    thread also writes the burst, so the burst doesn't wait for the loop. Once begin() was called, only the thread uses
-    `finder`, except for `at`, `sure` and `settled`.
+    It is a thread because opening a board that is slow to wake up may take seconds, and the supervisor's loop must not
+    wait. For the same reason the thread writes the burst itself. After begin(), only the thread may use `finder`,
+    except for `at`, `sure` and `settled`.
 
-    While the port is open, the thread lists the devices. If the open one was taken for the board only because no better
-    one was found, and the board appears, it sets `misplaced` and rings the bell.
+    While the port is open, the thread lists the devices. The open device may have been taken for the board only because
+    no better one was found. If the real board then appears, the thread sets `misplaced` and rings the bell.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
-        """`bell` rings when the port is open."""
+        """`bell`: rings when the thread has opened the port, and when it has set `misplaced`."""
         self._board = board
         self.finder = finder
         self._bell = bell
@@ -110,12 +112,13 @@ class Opener:
         self._found: tuple[int, int] | None = None
         self.misplaced = False
         self.believed = False
-        """True if the open device has answered as the board does. Set by the loop, read by the thread."""
+        """True if the open device has answered as the board does. The loop sets this and the thread reads it."""
         self._spare = -1
         self._reserve()
 
     def begin(self) -> None:
-        """Start the thread, which lives as long as the process. After a loss it may be too late to get one."""
+        """Start the thread, which then lives as long as the process. After a loss of the port it may be too late to
+        start one, for example because memory is short."""
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
@@ -123,12 +126,14 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """Return the opened port, once: its descriptor, and when the burst on it was written (0: it was not)."""
+        """Return the port that the thread has opened, once: (its descriptor, when the burst was written to it or 0 if
+        it could not be). None if there is no new port."""
         found, self._found = self._found, None
         return found
 
     def attempt(self) -> bool:
-        """Look for the port once. A descriptor number was reserved for it, because by then none may be free."""
+        """Look for the port once. Returns True if it was opened. A descriptor number is kept in reserve for the port,
+        because all others may be in use by then."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False
@@ -147,8 +152,8 @@ class Opener:
             self._spare = -1
 
     def _live(self, policy: int, priority: os.sched_param) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # these are for the loop
-        # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the main thread handles signals
+        # Set the scheduling again: a new thread does not inherit it, because of SCHED_RESET_ON_FORK.
         os.sched_setscheduler(0, policy, priority)
         self.finder.look_around()
         while True:
@@ -169,7 +174,7 @@ class Opener:
 
 
 class PortHandover:
-    """The supervisor's side of the handover. `controls`: its ends of the control sockets."""
+    """The supervisor's side of the handover. `controls`: the supervisor's end of the control socket to each process."""
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
@@ -188,7 +193,7 @@ class PortHandover:
 
     @property
     def sure(self) -> bool:
-        """False while the open device was accepted as the board only because no better one was found."""
+        """False while the open device was taken for the board only because no better one was found."""
         return self.opener.finder.sure
 
     @property
@@ -197,13 +202,13 @@ class PortHandover:
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
 
     def believe(self) -> None:
-        """Record that the open device answered as the board does, so it is the board."""
+        """Record that the open device has answered as the board does. It therefore is the board."""
         if self._port.fd >= 0 and not self.opener.finder.settled:
             self.opener.believed = True
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True if the port has just been lost, or the open device is not the board. The device is closed at once, and
-        the thread looks for the board."""
+        """Close the port if it is gone, or if the open device is not the board, and make the thread look for the board.
+        Returns True if that was the case."""
         if self._port.fd < 0:
             return False
         gone = ready.get(self._port.fd, 0) & GONE or self._port_owner_s() == records.PORT_LOST
@@ -223,8 +228,8 @@ class PortHandover:
         return True
 
     def opened(self, now_ns: int) -> int | None:
-        """Share a port that has just come back, and return when its burst was written (0: it was not). None: no port
-        has come back."""
+        """Share a port that has just come back with the other processes. Returns when its burst was written (0 if it
+        was not), or None if no port has come back."""
         found = self.opener.pop()
         if found is None:
             return None
@@ -243,31 +248,32 @@ class PortHandover:
         return written_ns
 
     def make_up(self, now_ns: int) -> None:
-        """Send the descriptor again to a process that could not receive it, because it had no free descriptor
-        number."""
+        """Send the descriptor again to each process that could not receive it, for example because it had no free
+        descriptor number."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
                 [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Share the port with a process that runs. A process that is not started yet inherits the port; if it were
-        sent, a descriptor in its queue would stay open."""
+        """Send the port to those of these processes that run. A process that is not started yet will inherit the port.
+        If it were sent one too, the descriptor would stay open in its queue."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """What the port owner reports about the port that is open here."""
+        """The state of the currently open port, as the port owner reports it."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:
-        """True if the port owner, the stopper or telemetry has the port that is open here."""
+        """True if this process (port owner, stopper or telemetry) has the port that is open here."""
         if name == layout.PORT_OWNER:
             return self._port_owner_s() == records.PORT_OPEN
         return self._numbers[name].get() == self._port.number
 
     def complete(self) -> bool:
-        """True when all four processes have the port: otherwise there would be no second channel, or no proof."""
+        """True when all four processes have the port. Otherwise the stopper could not stop, or no stop could be
+        proved."""
         return self._port.fd >= 0 and all(map(self.has, self.controls))

@@ -1,5 +1,5 @@
-"""ProcessTable: starts the supervisor's children, names them to the processes that watch them, reaps and restarts
-them."""
+"""ProcessTable: starts, reaps and restarts the supervisor's children, and publishes their pids to the processes that
+watch them."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""For how long a silence that the machine explains is shown. Each further silence restarts this time."""
+"""How long a starved process is shown in the status. Each further silence that the machine explains restarts this
+time."""
 GATE_AGAIN_NS = 60_000_000_000
-"""After this time a gate that died too often is started again, because people need it to request a reset."""
+"""If the gate died too often, it is started again after this time, because people need it to request a reset."""
 
 
 class ProcessTable:
-    """Every process of the table, with its current state. The early news of a death rings `early.bell`."""
+    """Every process of the table, with its current state. `early.bell` rings when a death is reported early
+    (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """From now on the supervisor holds its own block of futexes. `advice`: what helps against starvation, for
-        people."""
+        """Also make the kernel report this thread's own death early, on the supervisor's block of futexes. `advice`:
+        what people can do if the machine does not run a process."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -48,7 +50,7 @@ class ProcessTable:
         self._advice = advice
         self._starved_logged_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
-        """The longest silence that is shown, ms, and the name of its process."""
+        """The longest silence that is shown, in ms, and the name of the process that was silent."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -56,14 +58,15 @@ class ProcessTable:
         return self._by_name[name]
 
     def died(self, ready: dict[int, int]) -> list[Child]:
-        """The processes whose death this wake-up, or the early news before it, reports; each is returned once."""
+        """The processes whose death was reported by this wake-up, or by an early report before it. Each is returned
+        once."""
         return [child for child in self.children if child.life and child.state != DEAD and child.life.died(ready)]
 
     def reap(self, ready: dict[int, int], now_ns: int) -> None:
         """Reap the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
-                self._loop.forget(child.life.fd)  # the pidfd stays readable, however long the reaping takes
+                self._loop.forget(child.life.fd)  # the pidfd stays readable until it is reaped, which may take long
             pid = child.pid
             if child.state == DEAD and (death := child.reap()):
                 self._log_death(child, pid, death)
@@ -99,14 +102,15 @@ class ProcessTable:
         self._events.log("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
-        """Restart the processes that are down, after a reset by a person who knows about it."""
+        """Restart the processes that are down. Called after a reset, because the person who resets knows about them."""
         for child in self.children:
             if child.state == DOWN:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """Wait for the early news of each running process's death. The news of the port owner's death stops at once."""
+        """Start waiting for an early report of each running process's death. If the port owner dies, the waiting thread
+        itself writes a stop at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
@@ -116,12 +120,12 @@ class ProcessTable:
                     self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _ring_watchers(self) -> None:
-        """Wake the processes that watch others, so that they look up the current pids."""
+        """Ring the bells of the processes that watch others, so that they look up the current pids."""
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
     def restart_due(self, now_ns: int) -> None:
-        """Start the processes whose time has come."""
+        """Start the processes whose restart is due."""
         for child in self.children:
             if child.restart.due(now_ns):
                 child.times_restarted += 1
@@ -135,7 +139,7 @@ class ProcessTable:
             life = Lifeline(pid)
             self._loop.watch(life.fd, READ)
         except OSError as error:
-            if pid:  # out of descriptors: without its pidfd nobody would notice its death
+            if pid:  # out of descriptors: without its pidfd, nobody would notice the death of this process
                 os.kill(pid, signal.SIGKILL)
                 starter.reap(pid, 0)
             if life:
@@ -149,8 +153,8 @@ class ProcessTable:
             self._ring_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
-        """Start a process with its block of futexes and its descriptors (-1: none), among them the port with this
-        number. Returns the pid. Raises OSError."""
+        """Start a process with its block of futexes and its descriptors. A descriptor that is not open is passed as -1;
+        the port is among them, with its number. Returns the pid. Raises OSError."""
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}
@@ -158,7 +162,7 @@ class ProcessTable:
         return starter.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def pass_notes(self) -> None:
-        """Pass on the notes that the processes have for people."""
+        """Log the notes that other processes have for people."""
         for process, ring in self._notes.items():
             while entry := ring.next():
                 try:
@@ -175,8 +179,8 @@ class ProcessTable:
                 self.log_starved(child.row.name, silent_ns, now_ns)
 
     def log_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
-        """Log that the machine did not run a process for this long: the first time at once, then at most every ten
-        seconds."""
+        """Log that the machine did not run a process for this long. The first time is logged at once, later ones at
+        most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
         self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda starved: starved[0])
         self._starved_times += 1
@@ -191,7 +195,8 @@ class ProcessTable:
         return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")
 
     def starved_record(self) -> dict[str, object]:
-        """The record for clients: the longest silence that is shown, and how many such silences this run has had."""
+        """The fields about starved processes, for clients: the longest silence that is shown, and how many silences
+        this run has had that the machine explains."""
         longest_ms, process = self._shown_starved(monotonic_ns())
         shown = {"longest_ms": longest_ms, "process": process} if process else None
         return {"starved": shown, "starved_times": self._starved_times}

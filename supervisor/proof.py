@@ -1,11 +1,13 @@
-"""The proof of a stop (what can be known about it once it was answered) and the link (what the board's answers prove).
-Pure.
+"""Proof: what can be known about a stop after it was answered. Link: what the board's answers prove about the link to
+it. Pure.
 
-    acknowledged   the board answered a ping that was written after it, or reports that it obeys zeros
-    observed       the IMU, or the board's reports of its wheels, say that they are still (unstill: they are not)
-    logged         nothing more will be known about it, so the outcome is logged
+A stop can reach these levels of proof:
 
-Levels of proof are kept apart everywhere, because the board may be silent while the IMU sees the wheels come to rest.
+    acknowledged   the board answered a ping that was written after the stop, or reports that it obeys zeros
+    observed       the IMU, or the board's reports of its wheels, show that the wheels are still (unstill: they are not)
+    logged         nothing more will be known about the stop, so its outcome is logged
+
+The levels are kept apart everywhere. For example, the board may be silent while the IMU sees the wheels come to rest.
 """
 
 from __future__ import annotations
@@ -28,82 +30,89 @@ from failstop.policy.proofs import (
 from failstop.procs.starved import LONGEST_NS
 from failstop.supervisor.stops import Stop
 
-# The wheels after a stop, as the IMU sees them.
+# The states of the wheels after a stop, as the IMU or the board's reports show them.
 WHEELS_UNKNOWN = "unknown"
-WHEELS_UNSTILL = "unstill"  # they should be still and are not, and have not been seen still since the stop
+WHEELS_UNSTILL = "unstill"  # they still move although they should not, and have not been seen still since the stop
 WHEELS_STILL = "still"
 PONG_NS = 20_000_000
-"""A ping younger than this may still be answered; a stop's ping and the next one are further apart (schedule.py)."""
+"""A ping younger than this may still be answered. A stop's ping and the ping after it are further apart
+(schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
-"""A stop that the board has not acknowledged by then is logged as unacknowledged."""
+"""If the board has not acknowledged a stop after this time, the stop is logged as not acknowledged."""
 JUDGED_AFTER_NS = 800_000_000
-"""The IMU's verdict counts for a stop only if it was made this long after the cause, which is longer than a window of
-the judgement plus its hold (procs/telemetry/still.py)."""
+"""The IMU's verdict counts for a stop only if it was made this long after the cause. That is longer than one window of
+samples plus the time for which the verdict is held (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A verdict that is older than this does not count, because the IMU or telemetry is silent."""
+"""A verdict older than this does not count. Either the IMU or telemetry is silent then."""
 LEAST_NS = 1_000_000
-"""The shortest time to rest that is shown, because 0 means that the wheels were already at rest."""
+"""The shortest time until the wheels were still that is shown. 0 would mean that they were already still before the
+stop."""
 HEEDS_NS = 200_000_000
-"""If the board still reports zero this long after it should have reported that it obeys motion, it does not receive
-anything."""
+"""If the board obeys motion, it reports so within its echo time. If it still reports zero this long after that, it does
+not hear."""
 LATE_LOOK_NS = 200_000_000
-"""If the supervisor was held up and first looks at the IMU's verdict this long after the cause, it may have missed that
-the wheels were moving."""
+"""If the supervisor first looks at the IMU's verdict this long after the cause, because it was held up, it may have
+missed that the wheels were moving."""
 
 
 class Proof:
-    """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
+    """The proof of one stop that was answered. All times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
-        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. If now is long after the
-        cause, board and wheels have the usual time from now on. `by`: what acknowledges and what observes the stop
-        (interface.py)."""
+        """`after_ns`: how long the wheels may take to be still. `unix_s`: the wall clock time at `now_ns`. `by`: what
+        acknowledges and what observes the stop (interface.py). If `now_ns` is long after the cause, the board and the
+        wheels still get their usual time, counted from `now_ns`."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
-        """The wall clock when the cause was noticed, for people (Unix time, s)."""
+        """The wall clock time when the cause was noticed, for people (Unix time, s)."""
         self.acknowledged_ns: int | None = None
-        """The time from the cause to the board's answer, ns."""
+        """The time from the cause to the board's answer, ns. None if the board has not answered."""
         self.observed_ns: int | None = None
-        """The time from the cause until the wheels were still, ns. 0: the IMU had not felt them moving before the stop
-        either."""
+        """The time from the cause until the wheels were still, ns. 0 if no motion was observed before the stop either.
+        None if the wheels were not observed to be still."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """True if the kernel still held the bytes of the stop when the stop was logged, because the board takes
-        none."""
+        """True if the kernel still held the stop's bytes when the outcome was logged, because the board takes no
+        bytes."""
         self.believed = True
-        """False until the device to which its bytes were written has answered as the board does."""
+        """False until the device to which the stop was written has answered as the board does."""
         self.logged = False
-        """True once everything that can be known about the stop was logged."""
+        """True once the outcome of the stop was logged, with everything that can be known."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """From this time on the board's answers and its obedience count."""
+        """Answers from before this time don't count, and the time limits for the proof begin here."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """Record when the stop was written, if it had to wait for the port to come back."""
+        """Record when a stop was written that had to wait until the port came back."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.logged = False
         self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
     def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
-        """Record that a ping was answered; True when this acknowledges the stop."""
+        """Record that the ping sent at `sent_ns` was answered. Returns True if this acknowledges the stop."""
         if self.acknowledged_ns is not None or sent_ns < self.stop.written_ns or not self.stop.written_ns:
             return False
         self.acknowledged_ns = arrival_ns - self.stop.t_ns
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Record the IMU's verdict: since when the wheels are still (0: they move), judged at `judged_ns` (0: never
-        yet). Returns True when the wheels still move although the time for that is over, and again each time as much
-        time has passed: the stop must then be written again."""
+        """Record the verdict of the IMU, or of the board's reports, about the wheels. Returns True if the wheels still
+        move although they should be still by now, and again each time that period has passed once more. The caller must
+        then write the stop again.
+
+        `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
+        0 if there has been none.
+        """
         self._looked_ns = self._looked_ns or now_ns
         if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
-        # The board's reports are about one moment, not a window: wheels that came to rest after the cause were turning.
+        # The board's reports are about one moment, not about a window of time. So if the wheels came to rest after the
+        # cause, they were turning at the cause.
         late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
         if not still_ns:
             self._was_still = False
@@ -112,7 +121,7 @@ class Proof:
                 self.wheels = WHEELS_UNSTILL
                 return True
         elif not self._was_still or (late and still_ns > self.stop.t_ns):
-            # A window may begin before the cause: the wheels were turning then.
+            # A window of samples may begin before the cause, when the wheels were still turning.
             self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
         elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
@@ -120,7 +129,7 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """True, once, when nothing more will be known about the stop, so that it is time to log the outcome."""
+        """True, once, when nothing more will be known about the stop, so its outcome must be logged now."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -131,7 +140,7 @@ class Proof:
         return not before
 
     def outcome(self, link: str) -> str:
-        """The outcome for the journal. `link`: the state of the link."""
+        """The outcome of the stop as text for the journal. `link`: the state of the link."""
         late = heard_late(self.stop.cause.named().get("process"))
         if self.acknowledged_ns:
             heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms{late}"
@@ -156,7 +165,7 @@ class Proof:
         }
 
     def as_record(self) -> dict[str, object]:
-        """The stop as clients see it."""
+        """The record about the stop that clients read."""
         return {
             "cause": self.stop.cause.pack(),
             "latched": (self.stop.behind or self.stop).cause.pack(),
@@ -181,48 +190,51 @@ class Proof:
 
 
 class Link:
-    """Link: whether the board at one opened port hears what is written to it, and whether it still says anything. Pure.
+    """The state of the link: whether the board at the open port hears what is written to it, and whether it still sends
+    anything. Pure.
 
-    unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
-    alive      it answers
-    deaf       it has answered before and answers no more, or it reports that it obeys zero while motion is written
-    silent     it has reported before, and now it says nothing at all: it has no power, its program has ended, or the
-               wire from it is broken. From here these look the same, and nobody knows whether it hears
-    unheard    the port was lost, and the device that is there now has not answered: it may be another one
-    unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
+    unproven   the board has answered no ping since the port was opened. Nothing is known, so nothing is stopped for it
+    alive      the board answers
+    deaf       the board answered before and no longer does, or it reports that it obeys zero while motion is written
+    silent     the board sent reports before, and now it sends nothing at all. It has no power, or its program has
+               ended, or the wire from it is broken. Nobody can tell which, or knows whether it still hears
+    unheard    the port was lost and is open again, but the device there has not answered. It may not be the board
+    unasked    the board has no pings that it could answer. Nothing is known, and nothing waits for an answer
 
-    Unheard is for a board that was heard before the loss, and for a device that may not be the board (finder.py).
-    A board can go deaf while its telemetry goes on, so what it reports never proves that it hears.
+    Unheard is used if the board was heard before the loss, or if the device may not be the board (finder.py). A board
+    can go deaf while it still sends reports, so its reports never prove that it hears.
     """
 
     def __init__(self, deaf_ns: int, *, asked: bool = True, echo_ns: int = 0) -> None:
-        """`asked`: the board has pings. `echo_ns`: how soon at the latest the board reports that it obeys a command
-        that was written; 0: it reports none."""
+        """`deaf_ns`: a board that has not answered for this long is deaf. `asked`: True if the board has pings.
+        `echo_ns`: within what time the board reports that it obeys a written command; 0 if it sends no such reports."""
         self._deaf_ns = deaf_ns
         self._asked = asked
         self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
         self._first = LINK_UNPROVEN if asked else LINK_UNASKED
         self._answers = self._first
-        """The state of the link according to the board's answers and its echo alone."""
+        """The state of the link according to the board's answers and its reports of obeyed commands, without regard to
+        silence."""
         self._silent = self._by_echo = False
         self._heard = False
-        """True if the board has answered in this run. For a board that can't be asked: if it has reported."""
+        """True if the board has answered a ping in this run, or, if it has no pings, has sent anything since its port
+        was opened."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
-        """When the machine last held up a process that asks, listens or judges; 0: never."""
+        """When the machine last held up a process that is needed to hear the board; 0 if never."""
         self._true_ns = 0
-        """When the newest ping was sent that the whole board has answered, or when the port was opened."""
+        """When the newest ping was sent that the whole board has answered. Until then, when the port was opened."""
         self._said_ns = self._patience_ns = 0
-        """When the board last sent anything (0: nothing since the port was opened), and how long it may pause."""
+        """When the board last sent anything (0 if nothing since the port was opened), and how long it may pause."""
         self._answered_ns = 0
-        """When the newest ping was sent that has an answer."""
+        """When the newest answered ping was sent. Silence counts from there."""
         self._asked_ns = 0
-        """When the oldest ping after it was sent; 0: none yet."""
+        """When the first ping after the newest answered one was sent; 0 if none has been sent."""
         self._missed = False
 
     @property
     def state(self) -> str:
-        """The state of the link, as one of the words above."""
+        """The state of the link, as one of the words in the class's table."""
         return LINK_SILENT if self._silent else self._answers
 
     @property
@@ -232,41 +244,43 @@ class Link:
 
     @property
     def forbids(self) -> bool:
-        """True if motion must not be enabled: the board was heard in this run and is not heard now. A device that was
-        never heard is allowed, because some boards say nothing by design. After an echo of zeros a stop is latched, and
-        after its reset only the next motion shows whether the board hears again."""
+        """True if motion must not be enabled, because the board was heard in this run and is not heard at the moment. A
+        device that was never heard is allowed, because some boards send nothing by design. A board that obeyed zero
+        while motion was written is allowed too: a stop is latched for it, and after the reset only the next motion
+        shows whether the board hears again."""
         known = self._answers == LINK_DEAF and not self._by_echo
         return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
 
     def opened(self, now_ns: int, *, sure: bool = True) -> None:
-        """Begin again with another port: nothing is known about the device there. `sure`: it is known to be the
-        board."""
+        """Begin again with a newly opened port, because nothing is known about the device there. `sure`: True if the
+        device is known to be the board."""
         self._answers = self._first if sure and not self._heard else LINK_UNHEARD
         self._opened_ns = self._answered_ns = self._listened_ns = self._true_ns = now_ns
         self._asked_ns = self._said_ns = 0
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Nobody could hear an answer until now, so a silence counts from now on at the earliest, or from the next
+        """Record that no process could hear an answer until now. A silence counts only from now on, or from the next
         ping."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
     def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
-        """Record that one of the board's parts does not answer, so no question is answered as a whole. The board does
-        not count as deaf while its other parts answer."""
+        """Record that one part of the board (a wheel's servo) does not answer, so no ping is answered as a whole. The
+        board does not count as deaf while its other parts answer."""
         if now_ns - self._said_ns < self._deaf_ns:
             self.listen(newest_ping_ns)
 
     def held_up(self, now_ns: int) -> None:
-        """Record that the machine does not run a process that asks, listens or judges, so nobody knows whether the
+        """Record that the machine holds up a process that is needed to hear the board. Nobody can tell then whether the
         board was really silent."""
         self._held_up_ns = now_ns
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
-        """True if the machine may explain a silence that began then. The silence must then be counted again, and motion
-        is stopped for it. No board is excused for longer than a healthy service may be held up."""
+        """True if the machine may explain a silence that began at `since_ns`. The silence is then counted again from
+        now on, and motion is stopped because of it. No board is excused for longer than a healthy service may be held
+        up."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -275,13 +289,13 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """For how long nothing was heard from the board while the machine held up the service, ns; returned once. 0 if
-        there was no such silence."""
+        """How long nothing was heard from the board while the machine held up the service, ns. Each silence is returned
+        once; 0 if there was none."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
-        """Record that the board sent something, of any kind, at `said_ns`."""
+        """Record that the board sent something at `said_ns`. It may be of any kind."""
         if said_ns <= max(self._said_ns, self._opened_ns):
             return
         self._said_ns = said_ns
@@ -294,28 +308,30 @@ class Link:
                 self._answers = LINK_UNASKED
 
     def check_silence(self, patience_ns: int, now_ns: int) -> None:
-        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0: it sends only answers."""
+        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0 if it sends nothing except
+        answers."""
         self._patience_ns = patience_ns
         since_ns = max(self._said_ns, self._listened_ns)
         if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
             self._silent = True
 
     def check_echo(self, unheeded_ns: int) -> None:
-        """Check whether the board obeys zero although motion is written. `unheeded_ns`: since when it reports that; 0:
-        it does not. The last report stays true for its own time, so a pause in the reports makes no board deaf."""
+        """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: since when it
+        has reported that; 0 if it does not. The check uses the time of the last report, so a pause in the reports makes
+        no board deaf."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Record that nothing is latched. After a stop, a deaf board and a hearing one both report zero, so only the
-        next motion tells whether it hears again."""
+        """Record that no stop is latched. After a stop, a deaf board and a board that hears both report zero. So only
+        the next motion shows whether the board hears again."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 
     def answered(self, sent_ns: int) -> None:
         """Record that the ping sent at `sent_ns` was answered."""
         if sent_ns < self._opened_ns:
-            return  # answered by the device that was at the port before
+            return  # answered by the device that was at the port before it was opened again
         if not self._by_echo:
             self._answers = LINK_ALIVE
         self._heard = True
@@ -324,7 +340,7 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """True, once, when the device at a port that was opened again should have answered by now."""
+        """True, once, if the device at a port that was opened again should have answered by now and has not."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False
@@ -332,13 +348,13 @@ class Link:
         return self._missed
 
     def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
-        """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
+        """True if the board has just become deaf. `newest_ping_ns`: when the last ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
         if self.state != LINK_ALIVE or not self._asked_ns:
             return False
-        # Half of the time must have passed since a ping that it should have answered: before that ping it had nothing
-        # to answer.
+        # Half of the deaf time must also have passed since the first unanswered ping, because before that ping the
+        # board had nothing to answer.
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
             return False
         if now_ns - newest_ping_ns < PONG_NS or self._may_be_silent(now_ns):
@@ -349,7 +365,7 @@ class Link:
         return True
 
     def _may_be_silent(self, now_ns: int) -> bool:
-        """True while a board that normally reports all the time has sent nothing lately. It may turn out to be silent,
-        so it does not count as deaf yet."""
+        """True while a board that normally reports all the time has sent nothing lately. It may be about to count as
+        silent, so it does not count as deaf yet."""
         quiet_ns = now_ns - max(self._said_ns, self._listened_ns)
         return 0 < self._patience_ns <= self._deaf_ns and self._said_ns > 0 and quiet_ns >= self._patience_ns // 2

@@ -1,8 +1,9 @@
-"""Refused: why the kernel gives a process no real-time priority although its limits and capabilities allow it, and what
-helps. That is its control group (RT_GROUP_SCHED), or a filter of system calls.
+"""Refused: explains why the kernel refuses a process real-time priority although its limits and capabilities allow it,
+and what helps. The reason is either the process's control group (RT_GROUP_SCHED) or a filter of system calls.
 
-A kernel that is built with RT_GROUP_SCHED gives each group of the controller cpu a time for real-time processes, and a
-new group has none. On cgroup v1 root can give it some; on cgroup v2 there is no file for that.
+If the kernel is built with RT_GROUP_SCHED, each control group with the controller cpu has its own share of time for
+real-time processes. A new group gets no time. On cgroup v1, root can give it some. On cgroup v2, no file exists for
+that.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from failstop.policy.processes import SUPERVISOR_PRIORITY
 PROC, GROUP_FOLDER, BOOT = "/proc", "/sys/fs/cgroup", "/boot"
 OPTION = "CONFIG_RT_GROUP_SCHED="
 SYS_NICE = 23
-"""The bit of CAP_SYS_NICE."""
+"""The number of the bit for CAP_SYS_NICE in a set of capabilities."""
 FIRST_USERS = ["0", "0", "4294967295"]
-"""The user map of the first user namespace. Only there do capabilities allow real-time priority."""
+"""The user map of the first user namespace. Capabilities allow real-time priority only in that namespace."""
 RUNTIME = "cpu.rt_runtime_us"
 RUNTIME_US = 950000
-"""The file with the real-time share of the root group."""
+"""The usual real-time share of the root group, us. Advice suggests it for the other groups."""
 
 ALLOWED = "its limits allow real-time priority, but"
 NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
@@ -36,8 +37,9 @@ FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its uni
 
 
 def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
-    """Why a process that has no real-time priority was refused it, and what helps; empty: its limits and capabilities
-    don't allow it. `unit`: the systemd unit that starts it. Never raises."""
+    """Why a process was refused real-time priority, and what helps. Empty if its own limits and capabilities don't
+    allow it either, because then they are the reason. `unit`: the systemd unit that starts the process. Never
+    raises."""
     if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
         return ""
     for line in _lines(f"{PROC}/{pid}/cgroup"):
@@ -51,7 +53,7 @@ def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: boo
 
 
 def _allowed(pid: int | str, priority: int) -> bool:
-    """True if the limits or the capabilities of a process allow it this priority."""
+    """True if the limits or the capabilities of the process allow it this priority."""
     for line in _lines(f"{PROC}/{pid}/limits"):
         if line.startswith("Max realtime priority"):
             soft = line.split()[3]
@@ -66,7 +68,7 @@ def _v1(group: str, unit: str, *, container: bool) -> str:
     if container and not unit:
         return CONTAINER_V1
     parts = group.strip("/").split("/")
-    # From the top: no group gets more than the one above it has.
+    # Start at the top, because no group can get more than the group above it has.
     above = ["/" + "/".join(parts[: at + 1]) for at in range(len(parts))]
     writes = "; ".join(f"echo {RUNTIME_US} > {_runtime(each)}" for each in above if _word(_runtime(each)) == "0")
     return UNIT_V1.format(unit=unit, writes=writes) if unit else SHELL_V1.format(writes=writes)
@@ -77,14 +79,14 @@ def _runtime(group: str) -> str:
 
 
 def _of_v2(group: str) -> bool:
-    """True if a group of cgroup v2 has its own share of the processor, on a kernel that schedules so."""
+    """True if a cgroup v2 group has its own share of the processor, and the kernel may be built with RT_GROUP_SCHED."""
     controllers = f"{GROUP_FOLDER}{group}/cgroup.controllers"
     return "cpu" in _word(controllers).split() and _configured()
 
 
 def _configured() -> bool:
-    """True if the kernel may be built with RT_GROUP_SCHED; False only if its configuration can be read and says that it
-    is not."""
+    """True if the kernel may be built with RT_GROUP_SCHED. False only if the kernel's configuration can be read and
+    shows that it is not."""
     lines = _lines(f"{BOOT}/config-{os.uname().release}")
     return not lines or f"{OPTION}y" in lines
 

@@ -1,11 +1,12 @@
-"""Run: what a run of the service creates before its first process starts, what its parts share, and how it is removed.
+"""Run: everything that one run of the service creates before its first process starts, and how it is removed again.
 
-A run is found by its name, a file that says which shared memory belongs to the service. The name is created last and
-removed first, so everything under a name that exists can be trusted.
+Other programs find a run by its name: a file that says which shared memory belongs to the service. The name is created
+last and removed first. So if the name exists, everything that belongs to the run exists too.
 
-A process that has attached a segment can keep using it after the name is removed, as happens when the service's user
-logs out and logind has RemoveIPC=yes. But from then on no process can be started, no client can connect, and without
-the stop pipe's name nobody can ask for a stop. A running service can't fix that; the next run creates its own names.
+If the names are removed while the service runs, a process that has already attached a segment can keep using it. That
+happens, for example, when the service's user logs out and logind has RemoveIPC=yes. But from then on no process can be
+started, no client can connect, and nobody can request a stop without the stop pipe's name. A running service can't fix
+that, so it ends; the next run creates its own names.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events
 
 GROUP = "failstop"
-"""The group whose members may drive. Everyone may stop."""
+"""The group whose members may drive. Anyone may stop the robot."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""How the names of client slots begin. They are shared memory that the service can do without."""
+"""How the names of client slots begin. The service can go on if one of these names is removed."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The id of the group whose members may drive; -1 means the service's own group, because no such group exists or
-    this user may not use it."""
+    """The id of the group whose members may drive. Returns -1 if no such group exists or this user may not use it. Then
+    members of the service's own group may drive."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -47,29 +48,32 @@ def client_gid() -> int:
 
 
 class Run:
-    """What one run of the service has: shared memory, pipes, claims, bells, control sockets, settings, loop and
-    events."""
+    """Everything that the parts of one run share: shared memory, pipes, claims, bells, control sockets, settings, loop
+    and events."""
 
     def __init__(
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
-        """The caller holds the instance's lock. The run can't be found before publish(). Raises segments.AttachError,
-        instance.InstanceError or OSError, and then leaves nothing behind except a dead run's memory."""
+        """Create everything except the run's name, which publish() creates. The caller holds the instance's lock.
+        Raises segments.AttachError, instance.InstanceError or OSError. After an error nothing is left behind except the
+        memory of an earlier, dead run."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
         self._again = again
-        """The command line that starts this run again."""
+        """The command line that would start this run again."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segments.memory(name, self.incarnation)
-        """The name that all segments share."""
+        """The name that all of this run's segments share."""
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """The black box of an earlier run that did not end cleanly. Its names are removed once this run has its own."""
+        """Descriptors of the black box of an earlier run that did not end cleanly. The names of that run are removed
+        once this run has published its own."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
-        """Descriptors of the processes' segments for the black box. They can be read even after the names are gone."""
+        """Descriptors of the processes' segments, for the black box. They can still be read after the names are
+        gone."""
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
@@ -83,7 +87,7 @@ class Run:
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:
-        """Refuse to start next to a living run, even if its lock file is gone."""
+        """Raise an InstanceError if another run of this instance is alive, even if its lock file is gone."""
         try:
             incarnation, _ = instance.current_run(self.runtime_dir)
         except instance.NoService:
@@ -99,20 +103,20 @@ class Run:
         self.readable = segments.open_all(self.memory)
         if missing := [process for process in layout.PROCESS_NAMES if process not in self.readable]:
             raise segments.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
-        # Write-only for clients: a reader could take away the requests of others.
+        # Clients may only write. A client that reads could take away the requests of other clients.
         bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(self.runtime_dir), 0o620, gid)
         os.close(claim.open_claims(instance.claims_path(self.runtime_dir), create=True, mode=0o660, gid=gid))
         self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
-        """A descriptor of each object that other processes find by its name."""
+        """A descriptor of each object that other processes find by its name. It shows when the name is removed."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
     def _publish_settings(self) -> None:
-        """Publish for clients the settings that they need, the pid namespace of this process, and all settings."""
+        """Publish the settings that clients need, the pid namespace of this process, and the complete settings."""
         rules = {
             "sources": list(self.settings.sources()),
             "interlocks": list(self.settings.interlocks()),
@@ -123,8 +127,8 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self, stop: str = "") -> None:
-        """Publish the run's name. Everything that clients read exists now. It also keeps how the run was started, and
-        the board's `stop` (board/kept.py). Raises OSError."""
+        """Publish the run's name, so that clients can find it. Everything that clients read exists by then. Also save
+        how the run was started and the board's `stop` (board/kept.py). Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
@@ -134,7 +138,7 @@ class Run:
             segments.unlink_all(run)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
-        """Every descriptor that a process of the table may inherit, by its name there."""
+        """Every descriptor that the process may inherit, by its name on the command line."""
         found = {f"{other}_bell": found.fd for other, found in self.bells.items()}
         found |= {"bell": self.bells[process].fd, "port": port_fd}
         found |= {"stop": self.stop_pipe, "client_bell": self.client_bell}
@@ -143,8 +147,8 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Check once a second whether the names that others need still exist, and log missing ones. Returns the cause
-        for which the service must end, if any."""
+        """Check once per second whether the names that other processes need still exist, and log each missing name.
+        Returns the cause for which the service must end, or None."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns
@@ -162,8 +166,8 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Remove all names, the run's own name first. Descriptors and mappings end with the processes that have
-        them."""
+        """Remove all names of the run, its own name first. Memory that a process still uses stays until that process
+        ends."""
         instance.clear(self.runtime_dir)
         segments.unlink_all(self.memory)
         for made in self._segments:

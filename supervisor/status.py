@@ -1,20 +1,21 @@
-"""Status: publishes what motion waits for, and reports to the service manager whether the supervisor does its job.
+"""Status: publishes what motion waits for, and tells the service manager whether the supervisor does its job.
 
-The gate reads a word, clients read the process table, and the service manager gets datagrams (the sd_notify protocol):
-ready, a status line, the watchdog, the end. The supervisor never waits for the manager; a datagram that could not be
-sent is sent again later.
+The gate reads the ready word, clients read the process table, and the service manager gets datagrams (the sd_notify
+protocol): ready, a status line, watchdog beats, and the end. The supervisor never waits for the manager. A datagram
+that could not be sent is sent again later.
 
-The watchdog is only for a supervisor that no longer does its job:
+The supervisor stops sending watchdog beats only if it does not do its job:
 
-    hung                                    it sends no watchdog beats
-    a process that was killed and stays     something in the kernel holds it, so a restart from here can't replace it
-    a stop owed                             nobody answered it and nobody could write it, though the port is open
+    the supervisor hangs                    it sends no watchdog beats
+    a killed process does not go away       something in the kernel holds it, so the supervisor can't replace it
+    a stop is owed                          no process could write it, although the port is open
 
-Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a deaf
-board. The wheels are told to stop then and the status is still published; a restart of the service would only end both.
+In every other case it counts as healthy, however bad things look: a process is down until a reset, the port is gone, or
+the board is deaf. The wheels have been told to stop then, and the status is still published. If the manager restarted
+the service, both would end.
 
-This file also handles the service's rights (real-time scheduling and locked memory): what the service loses without
-them, which lease it can keep then, and the one command that grants them.
+This file also explains what the service loses without real-time scheduling and locked memory, which lease it can keep
+without them, and which command grants them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor.children import DOWN, RUNNING
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
+if TYPE_CHECKING:  # commands use only the functions about rights, and don't need these imports
     from collections.abc import Container
     from typing import Any
 
@@ -45,23 +46,25 @@ if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""A process is gone milliseconds after SIGKILL, or seconds if it closes a port that does not drain. If it exists for
-longer than this, something in the kernel holds it."""
+"""If a killed process still exists after this time, something in the kernel holds it. Normally it is gone milliseconds
+after SIGKILL, or after seconds if it closes a port that does not drain."""
 OWED_NS = 2_000_000_000
-"""The supervisor writes its own burst 5 ms after the cause, and then every 200 ms. If a stop is still owed after this
-time, none could be written."""
+"""If a stop is still owed after this time, no burst could be written. The supervisor tries 5 ms after the cause, and
+then every 200 ms."""
 WAITED_NS = 2_000_000_000
-"""What motion waits for is logged after this long; a restart takes a fraction of it."""
+"""How long motion must wait for something before the wait is logged. A restart of a process takes much less."""
 NOTIFY_EVERY_NS = 100_000_000
-"""How often a new status line is made. The gate's part of it changes at every tick while something drives."""
+"""The shortest time between two status lines. The gate's part of the line changes at every tick while someone
+drives."""
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
 LEASE_WITHOUT_S = 0.2
-"""The lease without real-time rights, if the settings give none. It is below the time that the stopper allows the port
-owner and the supervisor allows the gate (0.25 s), so the order in which they stop stays the same."""
+"""The lease without real-time rights, s, if the settings don't choose one. It must stay below 0.25 s, which is how long
+the stopper lets the port owner be silent and the supervisor lets the gate be silent. So a hang is still noticed in the
+same order."""
 OF_A_TIMEOUT = 0.9
-"""The lease is at most this share of the shortest command timeout, because a timeout must be longer than the lease."""
+"""The lease is at most this share of the shortest command timeout. A timeout must be longer than the lease."""
 
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
@@ -77,13 +80,13 @@ NO_EARLY_NEWS = (
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
 CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
-"""podman, lxc and systemd-nspawn set this variable for the first process of a container; other processes inherit it
-unless somebody clears it."""
+"""podman, lxc and systemd-nspawn set this variable for the first process of a container. Other processes inherit it
+unless a program clears it."""
 
 
 class Status:
-    """Publishes the status. Call publish(), log_waiting() and notify_manager() once per turn. `ever`: the service has
-    been ready."""
+    """Publishes the status. Call publish(), log_waiting() and notify_manager() once per turn. `ever`: True once the
+    service has been ready."""
 
     def __init__(
         self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
@@ -103,20 +106,21 @@ class Status:
         self._logged_missing = ""
         self.ever = False
         self.fault = ""
-        """Why the supervisor does not do its job; empty if it does. If it is set, the watchdog may fire."""
+        """Why the supervisor does not do its job, or empty if it does. While it is set, the watchdog gets no beats."""
 
     def missing(self, *, stopping: bool) -> str:
-        """What motion still waits for; empty if nothing. `stopping`: a stop is not answered yet."""
+        """What motion still waits for, as text; empty if nothing. `stopping`: True while a stop is not answered yet."""
         absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
         if not absent and not self._handover.complete():
             return "the port"
-        # A stop that the supervisor wrote itself must still be answered: a port owner that was held up would otherwise
-        # cut into the motion of a later enable, perhaps after frames of an older one.
+        # The port owner must answer the epoch even if the supervisor has written the stop. Otherwise a port owner that
+        # was held up could interrupt motion that is enabled later, perhaps after it has written frames of older motion.
         carried_out = self._epochs.answered() and not stopping
         return ", ".join(absent) or ("" if carried_out else "a stop being carried out")
 
     def publish(self, missing: str) -> bool:
-        """Publish the process table and the ready word when they change. True once, when the service is first ready."""
+        """Publish the process table when it has changed, and the ready word. Returns True once, when the service is
+        ready for the first time."""
         processes = {
             child.row.name: {
                 "pid": child.pid,
@@ -141,7 +145,7 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Log what motion waits for once the wait gets long, and log when it is over. Call it once per turn."""
+        """Log what motion waits for if the wait gets long, and log the end of that wait. Call it once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -155,8 +159,8 @@ class Status:
             self._logged_missing = ""
 
     def notify_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
-        """Send the status line and the watchdog beat. `missing`: what motion waits for; `owed_since_ns`: as in
-        fault()."""
+        """Send the status line and the watchdog beat. `missing`: what motion waits for. `owed_since_ns`: since when a
+        stop is owed (see fault())."""
         if not self.notify.active or now_ns - self._notified_ns < NOTIFY_EVERY_NS:
             return
         self._notified_ns = now_ns
@@ -172,9 +176,11 @@ class Status:
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
-    """Why the supervisor does not do its job, in words; empty if it does. `killed_ns`: for each process that was killed
-    and still exists, when it was killed; `owed_since_ns`: since when a stop is neither answered nor written although a
-    descriptor is open, 0 if there is none. Pure."""
+    """Why the supervisor does not do its job, in words; empty if it does. Pure.
+
+    `killed_ns`: for each process that was killed and still exists, when it was killed. `owed_since_ns`: since when a
+    stop is neither answered nor written although the port is open; 0 if no stop is owed.
+    """
     for name, since_ns in killed_ns.items():
         if now_ns - since_ns >= UNDYING_NS:
             return f"{name} was killed {(now_ns - since_ns) / 1e9:.0f} s ago and is not gone"
@@ -184,8 +190,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """A text saying that the wheels turn although zero is commanded, from telemetry's record; empty if the record does
-    not say so. Pure."""
+    """A text saying that the wheels turn although zero is commanded. Empty unless telemetry's record, `entry`, is fresh
+    and says so. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])
@@ -194,8 +200,9 @@ def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str
 
 
 def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
-    """The service in one line. `missing`: what motion waits for; `down`: processes that died too often; `latched`: the
-    reason of the latch; `gate`: its published state. Each is empty if there is none. Pure."""
+    """The service's status in one line. Pure. `missing`: what motion waits for. `down`: the processes that died too
+    often. `latched`: the cause of the latched stop. `gate`: the state that the gate has published. Each is empty if
+    there is none."""
     until = "for a minute" if down == layout.GATE else "until a reset"
     stays = f"; {down} died too often and is down {until}" if down else ""
     if latched:
@@ -211,11 +218,11 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
 
 
 def advice(*, realtime: bool, managed: bool) -> str:
-    """What to do if the machine runs this process late, with the command in backquotes. `realtime`: it has real-time
-    rights; `managed`: a service manager started it."""
+    """What to do if the machine runs this process late, with the command in backquotes. `realtime`: True if the process
+    has real-time rights. `managed`: True if a service manager started it."""
     if realtime:
         return GRANTED
-    # Imported for a refusal only.
+    # Imported only if rights were refused.
     from failstop.supervisor import refused
 
     unit = own_unit() if managed else ""
@@ -226,7 +233,8 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """These settings with a lease that fits this process's rights. A lease that is among the `chosen` keys stays."""
+    """These settings, with a lease that fits this process's rights. If the user chose the lease (its key is in
+    `chosen`), it stays as it is."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -234,13 +242,13 @@ def leased(settings: Settings, chosen: Container[str]) -> Settings:
 
 
 def lease_without_rights(settings: Settings) -> float:
-    """The lease in s of a service that has no real-time rights."""
+    """The lease of a service that has no real-time rights, s."""
     timeouts_s = (settings["gate.command_timeout_s"], *(ns / 1e9 for _, ns in settings.sources().values()))
     return max(settings[LEASE], min(LEASE_WITHOUT_S, OF_A_TIMEOUT * min(timeouts_s)))
 
 
 def cost(lease_s: float) -> str:
-    """What the service loses by its longer lease without real-time rights, as a clause."""
+    """What the service loses without real-time rights because its lease is longer, as a clause of a sentence."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
@@ -250,14 +258,15 @@ def cost(lease_s: float) -> str:
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
     """The rights that this process did not get, each with a text for people. `granted`: the heartbeat bits of the
-    rights that it has; `lease_s`: the lease in use."""
+    rights that it has. `lease_s`: the lease in use, s."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]
 
 
 def own_unit() -> str:
-    """The systemd unit of this process, from its control group; if the group names none, words that describe it."""
+    """The systemd unit of this process, from its control group. Returns the placeholder UNIT if the group names no
+    unit."""
     try:
         with open(CONTROL_GROUP, encoding="utf-8", errors="replace") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]
@@ -267,5 +276,5 @@ def own_unit() -> str:
 
 
 def in_container() -> bool:
-    """True if this process runs in a container that can be recognized."""
+    """True if this process runs in a container. Only common kinds of containers are recognized."""
     return CONTAINER_VARIABLE in os.environ or any(map(os.path.exists, CONTAINER_FILES))

@@ -1,7 +1,7 @@
-"""StopTracker: logs each stop, and follows the newest one from its answer to its proof: the board's answers and the
-IMU's verdict. It also watches the link.
+"""StopTracker: logs each stop, and follows the newest one until its proof is complete, using the board's answers and
+the IMU's verdict. It also watches the link to the board.
 
-stops.py and proof.py decide what counts for a stop; this file reads the facts for them from shared memory.
+stops.py and proof.py decide what counts as proof. This file reads the facts for them from shared memory.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ UNCONNECTED = {
     LINK_SILENT: "the board has stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop "
     "can't tell which: use the POWER SWITCH, then check its cable",
 }
-"""What happened to the link, for people."""
+"""What happened to the link, and what to do, for people."""
 
 
 class StopTracker:
@@ -55,7 +55,8 @@ class StopTracker:
     def __init__(
         self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool], moves: Callable[[], bool]
     ) -> None:
-        """`holds`: whether the kernel holds bytes for the board; `moves`: whether motion is enabled."""
+        """`holds`: returns True while the kernel holds bytes for the board. `moves`: returns True while motion is
+        enabled."""
         self._run = run
         self._holds, self._moves = holds, moves
         port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
@@ -71,7 +72,7 @@ class StopTracker:
         self._after_ns = run.settings.ns("still.after_s")
         self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
-        """The pids of the user's commands that still run, the newest last."""
+        """The pids of the user's commands that still run, oldest first."""
         self._command_ran = False
         self.wheel_servos = WheelServos(run.settings, telemetry.latest_reader("health"))
         self._seen_answer = self._seen_proof = 0
@@ -81,18 +82,18 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The state of the link for which motion was stopped. It is kept until motion has ended."""
+        """The state of the link for which motion was stopped. It is cleared when motion has ended."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
-        """The causes that were logged since the stop was latched."""
+        """The causes that have been logged since the stop was latched."""
 
     def latched(self, stop: Stop) -> None:
-        """Note a newly latched stop. It is the first one since a reset, so every later cause is reported again."""
+        """Record a newly latched stop. It is the first one since a reset, so every other cause will be logged again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True if this cause was not logged since the stop was latched, because several processes may notice the same
-        cause. It remembers the last 64 causes, so an older one may be logged twice."""
+        """True if this cause has not been logged since the stop was latched. Several processes may notice the same
+        cause, and it should be logged once. At most 64 causes are remembered, so an older cause may be logged twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -101,17 +102,17 @@ class StopTracker:
         return True
 
     def also(self, stop: Stop) -> None:
-        """Log a cause that came together with another one, or before the stop for the other one was answered."""
+        """Log a cause that came together with another one, or before the stop for another one was answered."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
             self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
-        """Log that a stop was answered, whether it was written or not. `ending`: it is the stop at the end of the
-        service."""
+        """Log a stop once it is known which process wrote it, or that it could not be written. `ending`: True for the
+        stop at the end of the service."""
         self._track(stop)
-        # The kernel holds any burst for a moment; one that queues behind bytes the board has not taken for long goes
-        # nowhere.
+        # The kernel holds every burst for a moment. But a burst that queues behind bytes which the board has not taken
+        # for a long time never gets out.
         held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
         written_us = max(0, stop.written_ns - stop.t_ns) / 1000
         how = f"by the {stop.by} after {written_us:.0f} us"
@@ -143,8 +144,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Track this stop from now on, unless another is latched: people look for the latched one, so later news
-        belongs to it."""
+        """Track the proof of this stop from now on, unless a stop is latched already. People look for the latched stop,
+        so later proof belongs to that one."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -155,9 +156,9 @@ class StopTracker:
         self._publish(self._last)
 
     def poll(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
-        """Look at everything once and return the stops that this brings. `listening`: telemetry, which decodes the
-        answers, and the port owner, which asks, both run; `held_up`: the machine does not run one of them, or did not
-        run the supervisor."""
+        """Check the newest stop's proof and the link once. Returns the stops that are needed because of what was found.
+        `listening`: True if telemetry, which decodes the board's answers, and the port owner, which sends pings, both
+        run. `held_up`: True if the machine holds up one of those two or this process."""
         self._read_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
@@ -178,7 +179,7 @@ class StopTracker:
         return stops
 
     def _check_link(self, now_ns: int, *, listening: bool) -> None:
-        """Check whether the board hears, and whether it still reports anything."""
+        """Check whether the board still hears, and whether it still reports anything."""
         link, newest_ns = self.link, self._asked.get()
         if not self._latch.stop:
             link.cleared()
@@ -198,9 +199,9 @@ class StopTracker:
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """The stop for a board that is deaf or silent while motion is enabled. It comes once, and again if motion is
-        enabled again, which may happen before anyone knows about the board. A silence that the machine may explain
-        stops the robot too, because nobody knows what the board heard."""
+        """The stop for a board that is deaf or silent while motion is enabled; otherwise empty. It is returned once,
+        and again if motion is enabled again, which may happen before anyone knows about the board. The robot is stopped
+        even if the machine may explain the silence, because nobody knows what the board heard."""
         kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.pop_unheard()
         if unheard_ns and self._moves():
             return [Stop(now_ns, layout.SUPERVISOR, causes.NOT_HEARD(unheard_ns // MS))]
@@ -213,8 +214,8 @@ class StopTracker:
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
-        """A port was opened again, perhaps with another board. `written_ns`: when the supervisor wrote its burst to it;
-        `sure`: it is certainly the board."""
+        """Record that a port was opened again, perhaps with a different board. `written_ns`: when the supervisor wrote
+        its burst to that port. `sure`: True if the device there is certainly the board."""
         last, before = self._last, self.link.state
         self.link.opened(now_ns, sure=sure)
         if last is None or written_ns <= last.stop.t_ns:
@@ -225,8 +226,9 @@ class StopTracker:
             self._publish(last)
 
     def _read_answer(self) -> None:
-        """Read from telemetry how far the board has handled everything that was written (board/handled.py). A report of
-        zeros only shows which device is at the port."""
+        """Read what telemetry has learned about the written bytes that the board has handled (board/handled.py). An
+        answered ping only proves the link. A stop is acknowledged by the record `proved`, because some boards must also
+        report that they obey zeros."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -236,13 +238,13 @@ class StopTracker:
             self._acknowledge(*records.PROVED.unpack(proved[2]))
 
     def _acknowledge(self, sent_ns: int, arrival_ns: int) -> None:
-        """Record that the board answered, or obeyed, the bytes that were sent at `sent_ns`."""
+        """Record that the board has answered or obeyed the bytes that were written at `sent_ns`."""
         self.heard = max(self.heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after a stop. A reset clears this, because a person has taken over."""
+        """True if the wheels still move after the stop. A reset clears this, because a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -253,7 +255,7 @@ class StopTracker:
         still_ns = self._still.get()
         self._barrier()
         if self._judged.get() != judged_ns:
-            return False  # telemetry judged again meanwhile: use that next time
+            return False  # telemetry has made a new judgement meanwhile: use that one in the next turn
         unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
@@ -266,13 +268,14 @@ class StopTracker:
         return unstill
 
     def _run_command(self) -> None:
-        """Run the user's command (still.command) once, until the wheels were seen still or a person has reset. A
-        command that still runs from an earlier stop hangs, but does not keep this stop from running its own."""
+        """Run the user's command (still.command). It runs once per stop, and may run again after the wheels were seen
+        still or a person has reset. If the command of an earlier stop still runs, it hangs; it is killed, and the
+        command runs again for this stop."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)
                 how = "killed"
-            except OSError as error:  # it has another user's rights, by sudo
+            except OSError as error:  # it has another user's rights, for example through sudo
                 how = f"cannot be killed ({error.strerror})"
             text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
             self._log_command(text, "hangs", pid=pid)
@@ -304,9 +307,9 @@ class StopTracker:
         self._run.events.log("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
-        """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0;
-        `link`: as in proof.py; `written`: the kernel took the second stop; `sent`: the kernel has passed it on to the
-        board."""
+        """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0 if it
+        did not. `link`: the link's state (proof.py). `written`: True if the kernel took the second stop. `sent`: True
+        if the kernel has passed the second stop on to the board."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"
