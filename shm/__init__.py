@@ -1,2 +1,2 @@
-"""Shared memory: words, cells, segments, bells, claims, futexes, lifelines, heartbeats. Nothing here is about
-robots."""
+"""Shared memory and waiting: words, cells, segments, bells, claims, futexes, lifelines and heartbeats. Nothing in this
+folder is about robots."""

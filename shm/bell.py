@@ -1,8 +1,8 @@
-"""Bells: wake-ups that can be waited for in one epoll set. A bell only says "look", and carries no data, so a lost ring
-delays the reader by a tick but loses nothing.
+"""Bells wake processes, and can be waited for together in one epoll set. A bell carries no data and only means "look".
+If a ring is lost, the reader looks a tick later, but it misses nothing.
 
-EventBell (an eventfd) rings between the service's own processes, which inherit it. PipeBell (a FIFO in the runtime
-directory) is for clients: each byte hints at a slot to look at, and any byte at all is a ring.
+EventBell (an eventfd) is for the service's own processes, which inherit it. A pipe (a FIFO in the runtime directory)
+is for clients. Each byte written to it names a slot to look at, as a hint, and any byte rings the bell.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ _ONE = (1).to_bytes(8, "little")
 
 
 class EventBell:
-    """An eventfd: any number of rings cause one wake-up."""
+    """A bell between the service's processes (an eventfd). Any number of rings cause one wake-up."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
 
     @classmethod
     def create(cls) -> EventBell:
-        """A new bell, closed on exec unless passed on."""
+        """Create a bell. Processes started later inherit it only if it is passed on explicitly."""
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake the process that waits. If the counter is full, because nobody has looked for very long, the bell is
-        ringing already."""
-        # Not contextlib.suppress, which costs more than the call, here and below.
+        """Wake the process that waits for this bell. If the counter is full, because the process has not looked for
+        very long, the bell is already ringing."""
+        # Not contextlib.suppress, because it costs more than the call itself. The same applies to clear().
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
         except BlockingIOError:
             pass
 
     def clear(self) -> None:
-        """Clear the rings so far. Call it before looking, so that a later ring is not lost."""
+        """Clear all rings up to now. Call it before you look for work, so that a ring during the work is not lost."""
         try:  # noqa: SIM105
             os.read(self.fd, 8)
         except BlockingIOError:
@@ -45,7 +45,7 @@ class EventBell:
 
 
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:
-    """Create a FIFO with exactly this mode, replacing a dead run's file. Raises OSError."""
+    """Create a FIFO with exactly this mode. A file left by a dead run is replaced. Raises OSError."""
     above, name = os.path.split(path)
     where = place.directory(above)
     try:
@@ -60,18 +60,20 @@ def make_pipe(path: str, mode: int, gid: int = -1) -> None:
 
 
 def open_pipe(path: str) -> int:
-    """Open the service's end, for reading and writing, so that it never sees an end of file when the last client
-    leaves."""
+    """Open the service's end of a FIFO. It is opened for reading and writing, so the service never reads an end of file
+    when the last client leaves."""
     return place.opened(path, os.O_RDWR, pipe=True)
 
 
 def open_pipe_to_write(path: str) -> int:
-    """Open a client's end. Raises OSError: FileNotFoundError or ENXIO without a service, or place.Untrusted."""
+    """Open a client's end of a FIFO. Raises FileNotFoundError or ENXIO if no service runs, place.Untrusted, or another
+    OSError."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write at most PIPE_BUF bytes, whole. False if the pipe is full; that rings the bell as well."""
+    """Write at most PIPE_BUF bytes, all of them or none. Returns False if the pipe is full; the bell rings then too.
+    Raises BrokenPipeError if the service is gone."""
     try:
         os.write(fd, data)
     except BlockingIOError:
@@ -85,11 +87,12 @@ def send(fd: int, data: bytes) -> bool:
 
 MOST_BYTES = 65536
 _received = bytearray(MOST_BYTES)
-"""Allocated in advance, because the reader of stop requests must keep working when no process can get more memory."""
+"""A buffer that exists from the start, because the reader of stop requests must keep working even when no process can
+get more memory."""
 
 
 def receive(fd: int) -> bytes:
-    """All bytes that wait in a pipe, up to MOST_BYTES; empty if there are none."""
+    """All bytes that wait in a pipe, at most MOST_BYTES. Empty if there are none."""
     try:
         return bytes(memoryview(_received)[: os.readv(fd, (_received,))])
     except BlockingIOError:

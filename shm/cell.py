@@ -1,18 +1,19 @@
-"""Cells: all values in shared memory that are wider than one word, and how a segment's bytes are accessed.
+"""Cells hold all values in shared memory that are wider than one word. This file also accesses the bytes of a segment.
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
-The CRC covers everything after it and is seeded with the record's name and the run's incarnation, so bytes of another
-record, or of a dead run, never pass as this one's.
+The CRC covers everything after it. It is seeded with the record's name and the run's incarnation, so bytes of a
+different record, or of a dead run, never pass the check.
 
-Writing: (1) build the whole cell privately, (2) a barrier, (3) store it with ONE slice assignment.
-Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing but that copy.
+To write a cell: (1) build the whole cell privately, (2) pass a barrier, (3) store it with ONE slice assignment.
+To read a cell: (1) take ONE slice copy, (2) check the private copy, (3) use nothing else than that copy.
 
-Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader sees, even after a death in the
-middle of a write, the CRC of the private copy decides. `struct.pack_into` is never used on shared memory, because a
-reader would see its zeros.
+So integrity needs no memory ordering. A reader may see a mixture of old and new bytes, even after a death in the middle
+of a write, and the CRC of its private copy shows that. Never use `struct.pack_into` on shared memory: it writes zeros
+first, and a reader would see them.
 
-A Latest is two cells, written in turn: the newest whole value counts. A Ring is a stream of entries.
+A Latest consists of two cells that are written in turn. Its value is the newest whole cell. A Ring is a stream of
+entries.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
 
 Entry = tuple[int, int, bytes]
-"""An entry: its number, its time (CLOCK_MONOTONIC, ns), and its payload."""
+"""An entry: its number (from 1), its time (CLOCK_MONOTONIC, ns), and its payload."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Protocol
 
     class View(Protocol):
-        """Memory, as a reader or writer uses it: one slice is copied out, or one slice is assigned."""
+        """Memory as a reader or writer uses it. A reader copies one slice, and a writer assigns one slice."""
 
         def __getitem__(self, where: slice, /) -> bytes: ...
 
@@ -45,9 +46,11 @@ if TYPE_CHECKING:
 
 
 class FileView:
-    """Slices of a file through pread and pwrite, for what clients may write; the service maps only what it alone can.
+    """A file as memory, through pread and pwrite. It is used for files that clients may write, because the service maps
+    only files that no one else can write.
 
-    A file that a client has truncated is a short read, which no CRC passes, and not a SIGBUS that kills the reader.
+    If a client truncates the file, a read returns too few bytes, which no CRC check passes. With a mapping, a SIGBUS
+    would kill the reader.
     """
 
     def __init__(self, fd: int) -> None:
@@ -61,16 +64,17 @@ class FileView:
 
 
 class PayloadTooLarge(ValueError):
-    """A payload did not fit the capacity its record declares in the layout."""
+    """The payload is larger than the capacity that its record declares in the layout."""
 
 
 def seed(record: str, incarnation: int) -> int:
-    """The CRC seed of a record (`segment.record`) in the run with this incarnation."""
+    """The CRC seed for a record (`segment.record`) in the run with this incarnation."""
     return crc32(record.encode(), crc32(incarnation.to_bytes(8, "little")))
 
 
 def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> bytes:
-    """Return the cell's bytes, ready for one slice assignment; `seq` starts at 1 (0 means never written)."""
+    """Return the bytes of a cell, ready for one slice assignment. `seq` starts at 1, because 0 means never written.
+    Raises PayloadTooLarge."""
     if len(payload) > capacity:
         raise PayloadTooLarge(f"payload of {len(payload)} bytes, the record holds {capacity}")
     body = _BODY.pack(len(payload), seq, t_ns) + payload
@@ -78,7 +82,7 @@ def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> 
 
 
 def check(raw: bytes, crc_seed: int) -> Entry | None:
-    """Return (seq, t_mono_ns, payload) of a cell's private copy, or None when it is not whole."""
+    """Return (seq, t_mono_ns, payload) from a private copy of a cell, or None if the cell is not whole."""
     if len(raw) < CELL_HEADER_BYTES:
         return None
     crc, length, seq, t_ns = _HEAD.unpack_from(raw)
@@ -89,12 +93,12 @@ def check(raw: bytes, crc_seed: int) -> Entry | None:
 
 
 def cell_bytes(capacity: int) -> int:
-    """Bytes that one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
+    """How many bytes a cell of this capacity takes. It fills whole 64-byte lines, so no two cells share a line."""
     return -(-(CELL_HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
 
 
 class _Cells:
-    """The cells of one record, one after another."""
+    """All cells of one record."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         self._view = view
@@ -105,44 +109,47 @@ class _Cells:
         self._seed = crc_seed
 
     def _slice(self, seq: int) -> slice:
-        """Where the entry with this number is stored."""
+        """The place of the entry with the number `seq`."""
         at = self._at + seq % self._cells * self._size
         return slice(at, at + self._size)
 
     def _last(self) -> int:
-        """The number of the newest whole entry; 0 if none exists."""
+        """The number of the newest whole entry, or 0 if there is none."""
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries, read in one copy. Not for a hot path. Most rings are nearly empty."""
+        """The numbers of all whole entries, from one copy of the whole record. It is too slow for frequent use. Empty
+        cells are skipped quickly, and most rings are nearly empty."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
         seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
         return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
 
 
 class LatestReader(_Cells):
-    """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
-    compared, which is a third of the work. A record that nobody has written is zeros."""
+    """Reads the newest whole value of a record. If the bytes have not changed since the last read, they are only copied
+    and compared, not checked again, which takes a third of the time. A record that was never written contains only
+    zeros."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._where = slice(offset, offset + cells * self._size)
         self._seen = 0
         self._raw = b""
-        """The bytes of the value that was read last; empty if no cell was whole."""
+        """The bytes that were copied last. `_known` is the value in them."""
         self._known: Entry | None = None
 
     def read(self) -> Entry | None:
-        """Return (seq, t_mono_ns, payload) of the newest whole value, or None if none exists."""
+        """Return (seq, t_mono_ns, payload) of the newest whole value, or None if there is none."""
         raw = self._view[self._where]
         if raw == self._raw:
             return self._known
         entry = self._newest(raw)
-        # Two writes that overtake the copy leave it without a whole value, or with one older than a value seen before.
+        # If two writes happen during the copy, the copy may hold no whole value, or only one older than a value that
+        # was returned before. Then copy again.
         for _ in range(2):
             if (entry and entry[0] >= self._seen) or not raw.strip(b"\0"):
                 break
-            Barrier()()  # without this barrier, the loads of this copy may be as old as those of the copy before
+            Barrier()()  # without it, this copy's loads may be as old as those of the previous copy
             raw = self._view[self._where]
             entry = self._newest(raw)
         self._raw, self._known = raw, entry
@@ -155,17 +162,17 @@ class LatestReader(_Cells):
 
 
 class _Writer(_Cells):
-    """The only writer of a record. A writer that takes over from a dead one goes on after the newest whole entry. A
-    cell that was torn by the death is overwritten, and the entry before it stays readable."""
+    """The only writer of a record. After a writer has died, the next one continues after the newest whole entry. If the
+    death left a half-written cell, that cell is overwritten, and the entry before it stays readable."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._barrier = Barrier()
         self.seq = self._last()
-        """The number of the newest entry; 0 if none exists."""
+        """The number of the newest entry, or 0 if there is none."""
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Publish an entry; returns its sequence number. Raises PayloadTooLarge, and then changes nothing."""
+        """Publish an entry and return its number. Raises PayloadTooLarge, and then nothing has changed."""
         seq = self.seq + 1
         data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
         at = self._slice(seq).start
@@ -176,31 +183,32 @@ class _Writer(_Cells):
 
 
 class LatestWriter(_Writer):
-    """Publishes values of which only the newest counts."""
+    """Publishes values of a record of which only the newest value counts."""
 
     write = _Writer.put
 
 
 class RingWriter(_Writer):
-    """Appends entries in order, for any number of readers. There is no shared head or tail, no reader state in shared
-    memory and no lock: entry `n` is in cell `n % cells`. A reader that sees an entry also sees everything that its
-    writer stored before it, including earlier entries, because there is a barrier in between."""
+    """Appends entries in order, for any number of readers. Entry `n` is in cell `n % cells`. There is no shared head or
+    tail, no lock, and no reader's state in shared memory. A barrier comes before each entry, so a reader that sees an
+    entry also sees everything that its writer stored earlier, for example the earlier entries."""
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
-        """Publish bytes of any length, split into entries."""
+        """Publish bytes of any length, split into as many entries as needed."""
         for at in range(0, len(data), self._capacity):
             self.put(data[at : at + self._capacity], t_ns)
 
 
 class RingReader(_Cells):
-    """One reader's place in a ring. `lost` counts the entries that were overwritten before they were read.
+    """One reader's position in a ring. `lost` counts the entries that were overwritten before this reader read them.
 
-    Reading entry n: (1) one slice copy of cell n % cells, (2) check it:
-        its seq is n                       -> the entry
-        its seq is below n, or never used  -> not published yet
-        its seq is above n                 -> lapped: go on at the oldest entry that can still be whole
-        not whole                          -> being written, or damaged: once a later entry is whole, n is gone for
-                                              good, so go on at the oldest of those
+    To read entry n, copy cell n % cells with one slice, and check the copy:
+        its seq is n                       -> this is the entry
+        its seq is below n, or never used  -> entry n is not published yet
+        its seq is above n                 -> the writer has lapped the reader, so continue with the oldest entry that
+                                              can still be whole
+        it is not whole -> entry n is being written, or it is damaged. If a later entry is whole, n is
+                                              gone for good, so continue with the oldest such entry
     """
 
     def __init__(
@@ -210,12 +218,13 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of this cell that were found to be blank or an older entry. The same bytes need no second check."""
+        """The bytes of the next cell when it was found blank or holding an older entry. If they have not changed, they
+        need no second check."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 
     def next(self) -> Entry | None:
-        """Return the next entry (seq, t_mono_ns, payload) in order, or None when nothing new is published."""
+        """Return the next entry (seq, t_mono_ns, payload) in order, or None if no new entry is published."""
         laps = 0
         while True:
             raw = self._view[self._where]
@@ -233,9 +242,9 @@ class RingReader(_Cells):
                 self._old = raw
                 return None
             if entry[0] > self._next:
-                # Go on at the oldest entry, `cells - 1` before this one. In a ring at rest that takes fewer steps than
-                # there are cells; but a writer at full speed overwrites the oldest entry again and again, so each
-                # further lap goes back half as far, in the end to this very entry.
+                # Continue with the oldest entry that can still be whole, `cells - 1` before this one. In a ring at rest
+                # that takes fewer steps than there are cells. But a writer at full speed overwrites the oldest entry
+                # again and again. So after many laps, each further lap goes back half as far, in the end to this entry.
                 halvings = max(0, laps - self._cells)
                 self._resume(entry[0] - (self._cells - 1 >> halvings))
                 laps += 1
@@ -249,7 +258,8 @@ class RingReader(_Cells):
         self._old = b""
 
     def _check(self, raw: bytes) -> Entry | None:
-        """The entry in a copy of the next cell. A whole entry that belongs in another cell counts as damage."""
+        """The entry in a copy of the next cell, or None if it is not whole. A whole entry that belongs in a different
+        cell counts as damage."""
         entry = check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._cells:
             return None
@@ -260,14 +270,16 @@ class RingReader(_Cells):
         self._await(seq)
 
     def _pass_damage(self) -> bool:
-        """False if the cell may still become the next entry; True if it is worth another look, or was passed over.
-        Without this, one damaged cell would hold up the reader for a whole lap, and with it the stops that follow in
+        """Handle a damaged cell. Returns False if the cell may still become the next entry. Returns True if it was
+        skipped, or is worth another look.
+
+        Without this, one damaged cell would block the reader for a whole lap, along with the stops that follow it in
         the ring.
         """
         later = [seq for seq in self._whole() if seq > self._next]
         if not later:
             return False
-        # The entry and later ones may have been published while the ring was searched.
+        # The next entry and later ones may have been published during the search, so look once more.
         Barrier()()
         if self._check(self._view[self._where]) is None:
             self._resume(min(later))

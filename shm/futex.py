@@ -1,12 +1,13 @@
-"""Robust futexes: the kernel's earliest news of a death.
+"""Robust futexes: the earliest way to learn from the kernel that a process has died.
 
-A robust list names words of shared memory that hold the number of a thread. When the thread dies, the kernel marks the
-words and wakes one waiter for each. Only then does it free the process's memory, which a pidfd, a pipe's end, the
-release of a lock and SIGCHLD all wait for: 2 ms for 10 MB, 45 ms for 500 MB. Because one waiter is woken, each word has
-one watcher. A watcher changes nothing, and the late news (lifeline.py) does not depend on this.
+A robust list names words of shared memory that hold the id of a thread. When the thread dies, the kernel marks these
+words and wakes one waiter for each. Only after that does it free the process's memory, which takes 2 ms for 10 MB or 45
+ms for 500 MB. Every other sign of the death (a pidfd, the end of a pipe, the release of a lock, SIGCHLD) comes after
+the memory is freed. The kernel wakes only one waiter per word, so each word has one watcher. A watcher changes nothing.
+If this early report fails, the late one (lifeline.py) still comes.
 
-The list is the thread's own and not the C library's, because with that one only the thread that locked a mutex may
-unlock it.
+The robust list here is the thread's own and not the C library's. With the C library's list, only the thread that locked
+a mutex may unlock it.
 
 Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), futex(2).
 """
@@ -28,8 +29,8 @@ from failstop.shm.words import LINE_BYTES
 
 PER_BLOCK = 2
 BLOCKS = 256
-"""The number of blocks. Each start of a process uses one, with a line for each watcher, and a block is used again after
-255 later starts."""
+"""The number of blocks. Each start of a process uses one block, which has a line for each watcher. A block is used
+again only after 255 later starts."""
 
 _OWNER_DIED = 1 << 30
 _WAITERS = 1 << 31  # without this bit, the kernel marks the word but wakes nobody
@@ -39,8 +40,8 @@ _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.un
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 NO_DUMP = 1
-"""The limit for core dumps, bytes. No dump fits into 1 byte. The kernel would ignore 0 if a program collects the dumps
-(core(5))."""
+"""The limit for the size of core dumps, bytes. No dump fits into 1 byte. 0 would not do, because the kernel ignores it
+if a program collects the dumps (core(5))."""
 _LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: first entry, offset from an entry to its word, entry being added
 _POINTER = struct.Struct("<Q")
 
@@ -51,14 +52,15 @@ _libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
 
 
 class Futex:
-    """The word at the start of a line of a file, and the lines after it that belong together.
+    """A futex: the word at the start of a 64-byte line of a file. If it is held together with the lines that follow it,
+    they belong to the same holder.
 
-    Only the kernel reaches it through the mapping, so a truncated file causes no SIGBUS.
+    Only the kernel uses the mapping, so a truncated file causes no SIGBUS in this process.
     """
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-        """Map the page that has all the lines. A thread that waits needs the caller's descriptor to stay open. Raises
-        OSError."""
+        """Map the page that contains the futex and all its lines. The caller must keep the descriptor open while a
+        thread waits. Raises OSError."""
         self._fd = fd
         self._owned = False
         self._offset = offset
@@ -70,20 +72,22 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Duplicate the descriptor, once. Otherwise, when the caller closes its own, a thread that is about to hold
-        this futex could write to the next file that gets the number. Raises OSError."""
+        """Use a duplicate of the caller's descriptor from now on. Call it at most once. Otherwise the caller might
+        close the descriptor while a thread is about to hold this futex, and the thread would write to the next file
+        that gets the same number. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 
     def _value(self) -> int:
         try:
             return int.from_bytes(os.pread(self._fd, 4, self._offset), "little")
-        except OSError:  # closed by a caller that no longer wants the news
+        except OSError:  # closed by a caller that no longer waits for the death
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the kernel report the death of the calling thread on this many lines. Returns an object that must be kept
-        for as long as the thread lives, or until let_go(); None if the kernel can't do it. Raises OSError."""
+        """Let the kernel report the death of the calling thread on this many lines. Keep the returned object as long as
+        the thread lives, or until let_go(), because the kernel uses its memory. Returns None if the kernel can't report
+        deaths. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -105,12 +109,13 @@ class Futex:
         return bool(self._value() & _OWNER)
 
     def owner_died(self) -> bool:
-        """True after the kernel has reported that the thread which held the futex has died."""
+        """True after the thread that held the futex has died and the kernel has reported it."""
         return bool(self._value() & _OWNER_DIED)
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Block until the thread that holds the futex has died. Returns False if no thread holds it, if it was given
-        back, or once it is no longer `wanted` (wake() makes it look). Other threads run meanwhile."""
+        """Block until the thread that holds the futex has died. Returns False if no thread holds it, if the holder gave
+        it back, or if `wanted` returns False (wake() makes this method ask). Other threads of this process run
+        meanwhile."""
         value = held = self._value()
         while wanted():
             if value != held or not held & _OWNER:
@@ -124,18 +129,18 @@ class Futex:
         return False
 
     def wake(self) -> None:
-        """Make the waiting threads look again."""
+        """Make all waiting threads look again."""
         _libc.syscall(_FUTEX, ctypes.c_void_p(self._address), _WAKE, ctypes.c_int(1 << 30))
 
     def close(self) -> None:
-        """Unmap it. Call it once no thread of this process holds it or waits for it."""
+        """Unmap the page. Call it when no thread of this process holds the futex or waits for it."""
         _libc.munmap(self._page, mmap.PAGESIZE)
         if self._owned:
             os.close(self._fd)
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
-"""The empty list. Its first entry points to itself."""
+"""An empty robust list. Its first entry points to the list itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
@@ -145,19 +150,19 @@ def let_go() -> None:
 
 
 def leave_no_dump() -> None:
-    """Allow this process no dump when it crashes, because a dying process keeps the futexes that report its death until
-    its dump is written."""
+    """Disable core dumps for this process. A dying process keeps its futexes until its dump is written, so a dump would
+    delay the report of its death."""
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (min(hard, NO_DUMP) if hard >= 0 else NO_DUMP, hard))
 
 
 def proven() -> bool:
-    """Test whether this kernel reports deaths at all, with a thread that holds its own word and ends. Some systems that
-    run Linux programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
+    """Test whether this kernel reports deaths through robust futexes. A thread holds a futex of its own and ends. Some
+    systems that run Linux programs report nothing (gVisor, qemu's user mode). The test takes 0.2 ms."""
     fd = os.memfd_create("proof")
     word = None
-    kept: list[object] = []  # memory that the kernel looks into; None: it refused
+    kept: list[object] = []  # what hold() returned in the thread; None if the kernel refused
     try:
         os.ftruncate(fd, mmap.PAGESIZE)
         word = Futex(fd, 0, write=True)
@@ -177,7 +182,7 @@ def proven() -> bool:
 
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
-    """What the thread does: it holds the word and ends."""
+    """Hold the futex and end. This is what the thread of proven() does."""
     try:
         kept.append(word.hold())
     except Exception:  # set after any error too, because proven() waits for it

@@ -1,4 +1,4 @@
-"""Heartbeat: what each process reports about itself in words of its own segment, once per turn of its loop."""
+"""Heartbeat: what each process reports about itself, in words of its own segment, once per turn of its loop."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
 STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
-"""Rights of a process. EARLY_NEWS: the kernel reports deaths to it before it frees the dead process's memory
-(futex.proven)."""
+"""Bits for the rights of a process. EARLY_NEWS: the kernel reports deaths to the process before it frees the dead
+process's memory (futex.proven)."""
 
 
 class HeartbeatReader:
-    """The watching side of one process's heartbeat."""
+    """Reads the heartbeat of one process, to watch it."""
 
     def __init__(self, segment: Segment) -> None:
         self.ns = segment.word("beat_ns")
@@ -26,16 +26,17 @@ class HeartbeatReader:
         self.rights = segment.word("beat_rights")
 
     def age_ns(self, now_ns: int) -> int:
-        """The time since the last beat. If a beat came after `now_ns` was read, its age is 0."""
+        """The time since the last beat, ns. 0 if a beat came after `now_ns` was read."""
         return max(0, now_ns - self.ns.get())
 
     def running(self, pid: int) -> bool:
-        """True when the process with this pid has reported that it runs."""
+        """True if the process with this pid has reported that it runs."""
         return self.pid.get() == pid and self.state.get() == BEAT_RUNNING
 
 
 class Heartbeat:
-    """The writing side. Only the segment's own process beats; its successor starts again."""
+    """Writes the heartbeat of a process. Only the segment's own process beats. After it has died, the next one starts
+    with fresh values."""
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
@@ -49,7 +50,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def beat(self, now_ns: int) -> None:
-        """Publish one turn of the loop."""
+        """Publish that one turn of the loop was made at `now_ns`."""
         words, gap_ns = self._words, now_ns - self.last_ns
         self.last_ns = now_ns
         if gap_ns > self._worst_ns:
@@ -59,7 +60,8 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A long start does not count as silence."""
+        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The time since the last beat does not count
+        as a silence, because a start may take long."""
         self.last_ns = now_ns
         self.beat(now_ns)
         self._words.state.set(state)

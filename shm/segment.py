@@ -1,4 +1,4 @@
-"""Segments: shared memory with one writer, and the records that its specification places in it."""
+"""Segments: shared memory with one writer. A specification says which records are in a segment, and where."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
 
 HEADER_BYTES = 128
-"""The size of the cell with which every segment starts (messages/segments.py). Never change it, because versions
-recognise each other by it."""
+"""The size of the cell at the start of every segment (messages/segments.py). Never change it, because different
+versions of failstop recognise each other by this cell."""
 
 
 class Record(Data):
-    """One record: its kind (word, latest, ring, futexes), payload capacity in bytes, cells (rings), readers."""
+    """One record of a segment: its kind (word, latest, ring or futexes), its name, the processes that read it, its
+    payload capacity in bytes, and the number of its cells (for a ring)."""
 
     kind: str
     name: str
@@ -35,7 +36,8 @@ class Record(Data):
 
 
 class SegmentSpec:
-    """One segment: its name, its one writer, the mode of its file, and where each record lies in it."""
+    """The specification of one segment: its name, its one writer, the mode of its file, and the offset of each
+    record."""
 
     def __init__(self, name: str, writer: str, mode: int, records: tuple[Record, ...]) -> None:
         self.name = name
@@ -51,7 +53,8 @@ class SegmentSpec:
 
 
 class Segment:
-    """One segment as this process sees it: mapped (its own, or read-only), or through pread for client segments."""
+    """One segment as this process accesses it. It is mapped if the process owns it or only reads it; client segments
+    are accessed through pread and pwrite."""
 
     def __init__(self, spec: SegmentSpec, incarnation: int, mapped: mmap.mmap | None = None, fd: int = -1) -> None:
         self.spec = spec
@@ -72,7 +75,7 @@ class Segment:
         return self.view, offset, record.capacity, record.cells, seed
 
     def word(self, name: str) -> Word:
-        """A word, which is a single u64. Only in mapped segments."""
+        """A word (a single u64). Raises TypeError if the segment is not mapped."""
         _, offset = self._place(name, "word")
         if self.mapped is None:
             raise TypeError(f"{self.spec.name}.{name}: words are only read through a mapping")
@@ -86,8 +89,8 @@ class Segment:
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
-        """The reader of a Ring record. It starts at the oldest entry that is still there, or at the next one to
-        come."""
+        """A reader of a Ring record. It starts with the next entry that is published or, with `from_oldest`, with the
+        oldest entry that the ring still has."""
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
@@ -95,8 +98,8 @@ class Segment:
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """A line on which to wait for a death or, with `write`, which to hold. Only in unmapped segments. Raises
-        OSError."""
+        """A futex line. With `write` this process can hold it; otherwise it can wait for the holder's death. Works only
+        in unmapped segments. Raises OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -105,19 +108,19 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty a client's own slot, except for the goodbyes: a goodbye that the gate has not seen would look like a
-        death."""
+        """Empty a client's own slot, except for the goodbyes. If the gate has not seen a goodbye yet, erasing it would
+        make the client's exit look like a death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 
     def fileno(self) -> int:
-        """The descriptor of an unmapped segment; -1 for a mapped one."""
+        """The descriptor of an unmapped segment, or -1 for a mapped one."""
         return self._fd
 
     def close(self) -> None:
         """Close the descriptor of an unmapped segment. A mapping ends when its last word or reader is freed."""
         fd, self._fd = self._fd, -1
         if isinstance(self.view, FileView):
-            self.view.fd = -1  # the number may soon name another file, which a writer of this view must not reach
+            self.view.fd = -1  # the number may be reused for another file, which this view must not reach
         if fd >= 0:
             os.close(fd)

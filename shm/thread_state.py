@@ -1,8 +1,8 @@
-"""Thread state: the kernel's state of the thread that beats for a process."""
+"""Thread state: the kernel's state of the main thread of a process, which is the thread that beats."""
 
 
 def state_of(pid: int) -> str:
-    """The letter for the state of the main thread, which is the one that beats. Raises OSError."""
+    """The letter for the state of a process's main thread, for example R (runnable) or S (sleeps). Raises OSError."""
     with open(f"/proc/{pid}/task/{pid}/stat", "rb", buffering=0) as file:
-        # The name in parentheses may contain anything.
+        # The process's name, in parentheses, may contain any characters.
         return file.read(512).rpartition(b") ")[2][:1].decode("ascii", "replace")

@@ -1,8 +1,10 @@
-"""Words: single aligned u64 values, each alone in a 64-byte line with one writer; and the barrier that orders them.
+"""Words and barriers. A word is a single aligned u64 value, alone in a 64-byte line, with one writer. A barrier orders
+accesses to words and cells.
 
-A store or load through a memoryview cast to 'Q' is a single machine access, so a reader sees the old or the new value
-and nothing between. Values that must be true together belong in a cell. Two words may be seen in another order than
-they were stored in, unless both sides have a barrier between them.
+Loading or storing a word (through a memoryview cast to 'Q') is a single machine access, so a reader sees either the old
+or the new value and never a mixture. Put values that must be true together in a cell. A reader may see two words change
+in a different order than they were stored, unless both the writer and the reader have a barrier between their two
+accesses.
 """
 
 from __future__ import annotations
@@ -24,21 +26,21 @@ class Word:
         return self._words[self._index]
 
     def set(self, value: int) -> None:
-        """Store a value. Only the record's declared writer may do this. Raises ValueError outside 0..2**64-1."""
+        """Store a value. Only the word's declared writer may do this. Raises ValueError outside 0..2**64-1."""
         self._words[self._index] = value
 
 
 class Barrier:
-    """A full memory fence: every other thread sees the loads and stores that this thread made before it ahead of those
-    made after it. Only one thread may call it. Takes 0.2 us, and no memory.
+    """A full memory fence. Other threads see everything that this thread loaded or stored before the barrier ahead of
+    everything after it. Only one thread may call the same barrier. A call takes 0.2 us and no memory.
 
-    Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass an earlier store. No
-    library gives Python a fence. But releasing a lock is a store-release and acquiring one is a load-acquire, and no
-    load-acquire passes an earlier store-release. So a held lock is released and acquired again. Acquiring and then
-    releasing would be no barrier: accesses before it could move behind the acquire, and accesses after it could move
-    before the release.
+    It is needed because words and cells are plain loads and stores. AArch64 may reorder them, and x86-64 lets a load
+    pass an earlier store. No library gives Python a fence, so this class makes one from a lock. Releasing a lock is a
+    store-release, acquiring it is a load-acquire, and no load-acquire passes an earlier store-release. So the barrier
+    releases and acquires a lock that it holds. The other order (acquire, then release) would be no barrier: accesses
+    before it could move behind the acquire, and accesses after it could move before the release.
 
-    model/aarch64 names the pairs that need one, and has each as a litmus test.
+    model/aarch64 lists the pairs of accesses that need a barrier, with a litmus test for each.
     """
 
     def __init__(self) -> None:
