@@ -1,6 +1,8 @@
-"""Context: what a process gets from the supervisor at its start, and the first things that every process does with it.
+"""Context: what a process gets from the supervisor when it is started, and the first steps that every process takes
+with it.
 
-It is passed in the command line, where `ps` shows it; only the settings are passed in an environment variable:
+The values are passed on the command line, where `ps` shows them. Only the settings are passed in an environment
+variable. For example:
 
     bootstrap.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 number=1 bell=5 ...
 """
@@ -24,7 +26,7 @@ from failstop.shm.segment import Segment
 
 
 class Context:
-    """What a started process has: its own segment, heartbeat and settings, and the descriptors that it inherited."""
+    """What a started process has: its segment, its heartbeat, its settings, and the descriptors that it inherited."""
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.instance = words.pop("name")
@@ -51,8 +53,9 @@ class Context:
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
-        """End the start-up: settle the memory, report that the process runs, and wake the supervisor. Then handle one
-        wake-up after another, until a turn returns False."""
+        """Run the process. First end the start-up: settle the memory, report that the process runs, and wake the
+        supervisor. Then call `turn` for one wake-up after another until it returns False. `longest_ns`: the longest
+        sleep."""
         rights.settle()
         self.heartbeat.state(BEAT_RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()
@@ -62,7 +65,8 @@ class Context:
         self.heartbeat.state(BEAT_STOPPING, monotonic_ns())
 
     def fd(self, key: str) -> int:
-        """An inherited descriptor; -1 if there is none, for example for a port that is not open."""
+        """An inherited descriptor, by its name on the command line. It is -1 if it is not open, for example while the
+        port is gone."""
         return self._fds[key]
 
     def bell(self, key: str) -> EventBell:
@@ -72,6 +76,6 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Every client's segment, in the form in which the service reads it. A segment that is gone counts as
-        unused."""
+        """The segment of every client, as the service reads it (without mapping it). A segment whose name was removed
+        counts as unused."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

@@ -1,9 +1,10 @@
-"""Handover: passes duplicates of the port's descriptor from process to process, so that no process must open the port
-before it can stop the robot."""
+"""Handover: passes duplicates of the port's descriptor from one process to another, so that a process need not open the
+port before it can stop the robot."""
 
 from __future__ import annotations
 
-# The C module under `socket`: the Python one costs 3 ms more to import and 0.6 MB more to tear down at a death.
+# The C module under `socket`. The Python module costs 3 ms more to import, and 0.6 MB more to free when the process
+# dies.
 import _socket
 import os
 import struct
@@ -22,16 +23,16 @@ _NUMBER = struct.Struct("<Q")
 
 
 class Control:
-    """One end of a process's control socket."""
+    """One end of a process's control socket, through which the supervisor sends ports."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
     def send(self, fd: int, number: int, path: str) -> None:
-        """Send a duplicate of the port's descriptor, with its number in this run and its path. If the other process has
-        died, nothing is lost, because its successor inherits the port. If the other process has no free descriptor
-        number, the duplicate is lost."""
+        """Send a duplicate of the port's descriptor, with the port's number in this run and its path. If the other
+        process has died, nothing is lost, because its successor inherits the port. If the other process has no free
+        descriptor number, the duplicate is lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
             self._socket.sendmsg([_NUMBER.pack(number) + cut(path, PATH_BYTES)], packed, _socket.MSG_DONTWAIT)
@@ -39,7 +40,8 @@ class Control:
             return
 
     def receive(self) -> tuple[int, int, str] | None:
-        """Return (descriptor, number, path) of a port that was sent; None if none waits or it was lost."""
+        """Return (descriptor, number, path) of a port that was sent. None if none waits, or if its descriptor was
+        lost."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
             data, ancillary, _, _ = self._socket.recvmsg(_NUMBER.size + PATH_BYTES, _socket.CMSG_LEN(_FD.size), flags)
@@ -55,8 +57,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """Like receive(), but only if this wake-up brings something. A port with a number below `least` was received
-        before, so it is ignored."""
+        """Like receive(), but only if this wake-up reports that a port was sent. Ports with a number below `least` were
+        received before, so they are closed and ignored."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent
@@ -68,15 +70,15 @@ class Control:
 
 
 class HeldPort:
-    """The port of a process that does not own it. The process adopts every descriptor that the supervisor sends. It
-    closes the port at once when the device is gone, because the device would otherwise get another name when it is
-    back. A word of shared memory says which port it is."""
+    """The port of a process that does not own it. The process adopts every descriptor that the supervisor sends, and
+    publishes the port's number in a word of shared memory. It closes the port at once when the device is gone, because
+    otherwise the device would get a different name when it is back."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
     ) -> None:
-        """`adopt` is called with a new descriptor that replaces the old one (-1: none); `wanted`: what the loop watches
-        the port for."""
+        """`adopt`: called with each new descriptor, which replaces the old one (-1 means no port). `wanted`: the events
+        for which the loop watches the port."""
         self._loop, self._control, self._adopt, self._wanted = loop, control, adopt, wanted
         self._record = context.segment(layout.PORT_OWNER).latest_reader("port")
         self._word = context.own.word("port_number")
@@ -90,17 +92,18 @@ class HeldPort:
             self._loop.watch(fd, self._wanted)
 
     def watch(self, wanted: int) -> None:
-        """Watch the port for something else from now on."""
+        """Watch the port for the events in `wanted` from now on."""
         if wanted != self._wanted:
             self._wanted = wanted
             if self._fd >= 0:
                 self._loop.watch(self._fd, wanted)
 
     def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
-        """Look for news about the port, once per turn; `lost`: its user found that the port is gone. True when another
-        descriptor was adopted, of a new port or of the same one again."""
+        """Close the port if it is gone, and adopt a port that was sent. Call it once per turn. `lost`: True if this
+        process itself has found that the port is gone. Returns True if a descriptor was adopted, of a new port or of
+        the same port again."""
         taken = False
-        given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # sent by the port owner
+        given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
         if ready.get(self._fd, 0) & GONE or lost or given_up:
             self.let_go()
         while sent := self._control.newer(ready, self._number + (self._fd >= 0)):
@@ -120,6 +123,6 @@ class HeldPort:
 
 
 def pair() -> tuple[int, int]:
-    """A new pair of connected control descriptors, closed on exec unless passed on."""
+    """A new pair of connected control sockets, as descriptors. Processes inherit them only if they are passed on."""
     mine, theirs = _socket.socketpair(_socket.AF_UNIX, _socket.SOCK_SEQPACKET)
     return mine.detach(), theirs.detach()

@@ -1,4 +1,4 @@
-"""Peers: the processes that the port owner and the stopper watch for death."""
+"""Peers: the processes that the port owner and the stopper watch for death, including the supervisor (Parent)."""
 
 from __future__ import annotations
 
@@ -14,39 +14,40 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""How long a process that writes stops goes on at least after the supervisor's death. On most boards that is enough for
-the burst and its repeats."""
+"""After the supervisor's death, a process that writes stops goes on for at least this long. On most boards this is
+enough for the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
-"""How long such a process goes on after the last repeat, so that the repeat reaches the wire."""
+"""How long such a process goes on after the last repeat, so that the repeat gets out of the port."""
 LATEST_NS = 500_000_000
-"""The longest time that such a process waits for a port that still holds the stop. When the last process closes the
-port, the kernel drops the bytes."""
+"""The longest time that such a process waits for a port that still holds the stop. It waits because the kernel drops
+the remaining bytes when the last process closes the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """How long a process that writes stops goes on after the supervisor's death: until the board has received the last
-    repeat."""
+    """How long a process that writes stops goes on after the supervisor's death. The board has received the last repeat
+    by then."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
 DRAINED_NS = 5_000_000
-"""How often to look at a port that still holds the stop."""
+"""How often to check whether the port still holds the stop."""
 _LINE = 1
-"""The line of each process's block of futexes that this process waits on. The supervisor waits on line 0."""
+"""The line on which this process waits in the block of futexes of each process that it watches. The supervisor waits on
+line 0."""
 
 
 class Parent:
-    """Watches the supervisor, and receives the ports that it sends. When the supervisor dies, this process stops the
-    robot and exits soon afterwards."""
+    """Watches the supervisor, and receives the ports that the supervisor sends. When the supervisor dies, the process
+    that has this object stops the robot and exits soon afterwards."""
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
-        """`line`: which of the supervisor's futexes to wait on; `port`: where this process writes its stops; `early`:
-        the thread that first learns of the death writes the stop."""
+        """`line`: the line to wait on in the supervisor's block of futexes. `port`: the port to which this process
+        writes its stops. `early`: True if the thread that first learns of the death writes the stop itself."""
         self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
-        """When the supervisor's death was noticed; 0 while it is alive."""
+        """When the supervisor's death was noticed, or 0 while it is alive."""
         self._loop = loop
         self._leave = loop.timer()
         context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if early else None)
@@ -54,21 +55,21 @@ class Parent:
             loop.watch(fd, READ)
 
     def died(self, ready: dict[int, int]) -> bool:
-        """True when this wake-up, or the early news before it, reports the supervisor's death; until drop() answers
-        it."""
+        """True if this wake-up, or an early report before it, says that the supervisor has died. After drop() it is
+        False again."""
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:
-        """Stop watching the supervisor, because the stop for its death is written. Once the repeats are out, leave()
-        returns True."""
+        """Stop watching the supervisor. Call it when the stop for the supervisor's death is written. leave() returns
+        True once the repeats of that stop are out."""
         self.orphaned_ns = now_ns
         self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit, because the repeats are on the wire. If the port holds them back, it waits a
-        little longer, up to LATEST_NS."""
+        """True when it is time to exit, because the repeats have been sent. If the port still holds bytes of them, that
+        is a little later, but at most LATEST_NS after the death."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -78,12 +79,13 @@ class Parent:
 
 
 class Peer:
-    """Watches one process. `life` is None while there is no process, and after its death was answered."""
+    """Watches one process for death. `life` is None while the process does not exist, and after its death was
+    answered."""
 
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
-        """`port`: the port to which the thread that first learns of the death writes the stop."""
+        """`port`: the port to which a thread writes the stop as soon as it learns of the death."""
         self.death = causes.DIED(name)
-        """The cause of the stop when this process dies."""
+        """The cause of the stop if this process dies."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
@@ -94,12 +96,13 @@ class Peer:
         self._named = 0
 
     def named(self) -> int:
-        """The pid of this process, as the supervisor publishes it; 0 before the process is first started."""
+        """The pid of the process, as the supervisor publishes it. 0 before the process is first started."""
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
-        """Watch the process whose pid the supervisor publishes: by its pid at once, and by its futex as soon as the
-        process runs and holds it. Returns the pid of the process before it, if that one had died unnoticed, else 0."""
+        """Watch the process whose pid the supervisor publishes. Its pidfd is watched at once, and its futex as soon as
+        the process reports that it runs. Returns the pid of the previous process if that one has died unnoticed,
+        otherwise 0."""
         named = self._word.get()
         pid, block = records.unpack_life(named)
         died = 0
@@ -117,21 +120,22 @@ class Peer:
         return died
 
     def _stop_early(self, pid: int) -> None:
-        """Write the stop in the thread that waits for the death. If the supervisor has published another process since,
-        this death was answered already, and a thread that was held up must not stop the motion that came afterwards."""
+        """Write the stop, in the thread that waits for the death. Does nothing if the supervisor has published a new
+        process since. The death was answered then, and a thread that was held up must not stop motion that was enabled
+        later."""
         if self.named() == pid:
             self._stop()
 
     def runs(self) -> bool:
-        """True while the process is known to run: from its own report until its death was answered."""
+        """True while the process is known to run: from its own report that it runs until its death was answered."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
-        """The pid of the process if this wake-up, or the early news before it, reports its death, else 0."""
+        """The pid of the process if this wake-up, or an early report before it, says that it has died; otherwise 0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
 
     def drop(self) -> None:
-        """Stop watching it."""
+        """Stop watching the process."""
         if self.life:
             self._loop.forget(self.life.fd)
             self.life.close()

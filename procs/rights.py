@@ -1,5 +1,5 @@
-"""Rights: what a process requests from the kernel for itself: real-time scheduling, locked memory, to be killed when
-its parent dies, to end at once when it crashes or loops, and enough open files."""
+"""Rights: what a process requests from the kernel for itself. This is real-time scheduling, locked memory, to be killed
+when its parent dies, to end at once when it crashes or loops, and enough open files."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""The kernel kills this process if it runs for this long at real-time priority without a pause. Otherwise an endless
-loop would take the core from every process of lower priority. On a computer with one free core those are also the
-processes that must stop the wheels because of the loop."""
+"""The kernel kills this process if it runs for this long at real-time priority without a pause, us. Otherwise an
+endless loop would take the core from every process of lower priority. On a computer with one free core, those include
+the processes that must stop the wheels because of the loop."""
 SUPERVISOR_LOOP_US = 500_000
-"""The same limit for the supervisor. It is longer, because the supervisor has the lowest priority on the stop path, so
-its loop delays no stop, but its end is the end of the service. The kernel counts whole ticks, including those that the
-host of a virtual machine withholds. The limit must be shorter than the time after which the kernel pauses all real-time
-processes of a core (sched_rt_runtime_us)."""
+"""The same limit for the supervisor, us. It is longer because the supervisor has the lowest priority on the stop path,
+so a loop in it delays no stop, but if it is killed the service ends. The kernel counts whole ticks, including those
+that the host of a virtual machine withholds. The limit must be shorter than the time after which the kernel pauses all
+real-time processes of a core (sched_rt_runtime_us)."""
 
 DESCRIPTORS = 68
-"""The most descriptors that the supervisor has open: 52 with every process, segment and bell, 5 for a dead run, 2 for
-each of 4 savers, and a few to read files."""
+"""The most descriptors that the supervisor has open. These are 52 with every process, segment and bell, 5 for a dead
+run, 2 for each of 4 savers, and a few to read files."""
 STACK_BYTES = 256 * 1024
-"""The stack size of each process: four times the most that any of them was seen to need."""
+"""The stack size of each process. It is four times the most that any process was seen to need."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def name_process(name: str) -> None:
-    """Set the name that ps and top show; at most 15 bytes."""
+    """Set the name that ps and top show for this process. Only the first 15 bytes count."""
     _libc.prctl(_PR_SET_NAME, name.encode()[:15], 0, 0, 0)
 
 
 def die_with_parent(parent_pid: int) -> None:
-    """Make the kernel kill this process (SIGKILL) when its parent dies. Raises SystemExit if the parent has died
+    """Make the kernel kill this process (SIGKILL) when its parent dies. Raises SystemExit if the parent is dead
     already."""
     _libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0)
     if os.getppid() != parent_pid:
@@ -51,9 +51,9 @@ def die_with_parent(parent_pid: int) -> None:
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[bool]:
-    """Ask the kernel for SCHED_FIFO at `priority`, and yield whether it was granted; within the block the process has
-    it. Asking is the only way to know, because a container or a control group may refuse what limits and capabilities
-    allow."""
+    """Ask the kernel for SCHED_FIFO at `priority`, and yield True if it was granted. The process has it within the
+    `with` block. You can find out only by asking, because a container or a control group may refuse what the limits and
+    capabilities allow."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -63,21 +63,22 @@ def realtime(priority: int) -> Iterator[bool]:
     try:
         yield True
     finally:
-        with contextlib.suppress(PermissionError):  # an inherited priority that this process may not set itself
+        with contextlib.suppress(PermissionError):  # the old priority was inherited, and this process may not set it
             os.sched_setscheduler(0, *before)
 
 
 def request_rights(priority: int) -> int:
-    """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of the granted rights, and of the
-    early news of deaths, which some kernels don't give.
+    """Ask for SCHED_FIFO at `priority` and for locked memory. Returns the heartbeat bits of the rights that this
+    process has. One of the bits says whether the kernel reports deaths early, which some kernels don't.
 
-    Processes started from this one begin without real-time rights, so that the imports of a restart disturb no tick.
+    Processes that are started from this one begin without real-time rights, so the imports during a restart delay no
+    tick.
 
-    A process that crashes leaves no dump. The limit that ends an endless loop (LOOP_US) applies from settle() on,
+    A process that crashes leaves no dump. The limit that ends an endless loop (LOOP_US) applies only after settle(),
     because a start takes longer than any turn.
 
-    Memory is locked as it is touched (MCL_ONFAULT). Locking all of it would double the resident size, and with it the
-    time that the kernel needs to report this process's death.
+    Memory is locked only when it is first used (MCL_ONFAULT). Locking all of it would double the resident size, and
+    with it the time that the kernel needs to report this process's death.
     """
     granted = 0
     futex.leave_no_dump()
@@ -93,8 +94,8 @@ def request_rights(priority: int) -> int:
 
 
 def settle(loop_us: int = LOOP_US) -> None:
-    """End the start-up: collect garbage once and leave the rest to reference counting. From now on, a loop of `loop_us`
-    kills the process."""
+    """End the start-up. Collect garbage once, and turn the collector off, so that only reference counting frees memory.
+    From now on, the kernel kills the process if it runs for `loop_us` without a pause."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -102,8 +103,8 @@ def settle(loop_us: int = LOOP_US) -> None:
 
 
 def _limit(which: int, soft: int | None) -> None:
-    """Set a soft limit, or as much of it as the hard limit allows; None: set it to the hard limit. Processes that are
-    started here may set their own."""
+    """Set a soft limit to `soft`, or to the hard limit if that is lower. None sets it to the hard limit. The hard limit
+    stays, so processes that are started from this one may set their own."""
     _, hard = resource.getrlimit(which)
     if soft is None or 0 <= hard < soft:
         soft = hard
@@ -112,9 +113,9 @@ def _limit(which: int, soft: int | None) -> None:
 
 
 def raise_limits() -> None:
-    """Make sure that this process and those that it starts can open DESCRIPTORS and have STACK_BYTES of stack;
-    otherwise the first call that needs more would end a process by SIGSEGV without a message. Raises the limits that a
-    process may raise itself. Raises OSError."""
+    """Make sure that this process, and those that it starts, can open DESCRIPTORS files and have STACK_BYTES of stack.
+    With too little stack, the first call that needs more would end a process by SIGSEGV without a message. Raises the
+    soft limits as needed. Raises OSError if a hard limit is too low."""
     needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
     for which, least, remedy in needed:
         soft, hard = resource.getrlimit(which)
@@ -125,7 +126,7 @@ def raise_limits() -> None:
 
 
 def no_descriptors(most: int) -> str:
-    """What to do if the limit of open files (RLIMIT_NOFILE, `most`) is too low."""
+    """What to do if the limit of open files (RLIMIT_NOFILE) is too low. `most`: the limit that was found."""
     return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", "`ulimit -n 1024`, or LimitNOFILE=")
 
 

@@ -1,12 +1,12 @@
-"""Schedule: the frames that are sent by the clock. Pure.
+"""Schedule: when to write the frames that are sent at set times: repeats of a stop, zeros, and pings. Pure.
 
-After a cause, the burst is repeated at times that suit the board, in case it lost the first one. While stopped, a zero
-frame goes out at 5 Hz, so that a board that restarts or wakes up soon hears a stop.
+After a cause, the burst is repeated at times that suit the board, in case the board lost the first one. While the robot
+is stopped, a zero frame is written every 0.2 s, so that a board that restarts or wakes up soon gets a stop.
 
-Pings check that the board hears, right after each stop and otherwise once per period. The board handles frames in
-order, so the answer to a ping that was written after a stop proves that its receiver was in step when the stop had
-passed. An answer shows which ping it belongs to, but not which sending of that ping. So the order of pings is random,
-and after a loss it soon shows how many were lost (board/handled.py).
+Pings check that the board hears. They are written right after each stop, and otherwise once per period. The board
+handles frames in order. So if it answers a ping that was written after a stop, it was receiving correctly when the stop
+arrived. An answer shows which ping it belongs to, but not which sending of that ping. So the order of the pings is
+random, and after a loss the answers soon show how many were lost (board/handled.py).
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ REPEAT = 1
 REFRESH = 2
 ZERO_EVERY_NS = 200_000_000
 PING_GAP_NS = 50_000_000
-"""Two pings are at least this far apart."""
+"""The shortest time between two pings."""
 
 QUICK = 10
-"""How many pings are sent in quick succession after the start. Telemetry, which hears the answers, takes some tenths of
-a second to start, and until it has heard one nobody knows whether the board hears."""
+"""How many pings are sent in quick succession at first. Telemetry, which reads the answers, takes some tenths of a
+second to start. Until it has read one, nobody knows whether the board hears."""
 AGAIN_AFTER_STOP = 4
-"""How many more pings follow the first one after a stop. If answers were lost before the stop, because telemetry died,
-the first answer after it may belong to an older ping; a few more pings tell the answers apart."""
+"""How many more pings follow the first one after a stop. If telemetry died, answers from before the stop may be lost,
+so the first answer after it may belong to an older ping. The further pings show which ping was answered."""
 
 
 class Repeats:
-    """When to repeat the last stop. `due`: the timer for the next repeat."""
+    """When to repeat the last stop, and to send zeros after that. `due`: the timer for the next one."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
-        """`after_ns`: how long after a stop each repeat is written; `zero_ns`: how long after a stop the first zero
-        comes, or after the last repeat if that is later. Each writer has its own."""
+        """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
+        written, or after the last repeat if that is later. Each process that writes stops has its own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -40,21 +40,23 @@ class Repeats:
         due.set(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """Begin the repeats of a stop that was just written."""
+        """Begin the repeats of a stop that was written at `now_ns`."""
         self._bursts = len(self._after_ns) - 1
         self._due.set(*(now_ns + after for after in self._after_ns))
 
     def end(self) -> None:
-        """Write nothing before the next stop, because it would interrupt the motion of this process or of another
-        one."""
+        """Write nothing until the next stop, because a repeat would interrupt motion that this process or another one
+        has started."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
-        """Delay repeats: after a stall several are due at once and would garble each other."""
+        """Postpone the next repeat to `until_ns`. After a stall several repeats are due at once, and would garble each
+        other."""
         self._due.wait(until_ns)
 
     def pop(self, now_ns: int) -> int:
-        """What must be written now: REPEAT, REFRESH, or 0 for nothing. Each call removes it from the schedule."""
+        """What must be written now: REPEAT (the burst), REFRESH (a zero frame), or 0 for nothing. Each is returned
+        once."""
         if not self._due.pop(now_ns):
             return 0
         if self._bursts:
@@ -65,11 +67,11 @@ class Repeats:
 
 
 class Pings:
-    """When to write pings; `index` is the number of the next one."""
+    """When to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has (0: none, and then nobody may wait for `due`); `quick`: how
-        many pings are sent in quick succession at first."""
+        """`count`: how many different pings the board has; if it is 0, no loop may wait for `due`. `period_ns`: the
+        usual time between two pings. `quick`: how many pings are sent in quick succession at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
@@ -81,23 +83,24 @@ class Pings:
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
-        """A stop was written: send a ping soon to find out whether the board heard it, and then a few more."""
+        """Call it when a stop was written. The next ping is then sent soon, to find out whether the board heard the
+        stop, and a few more follow quickly."""
         self._quick = max(self._quick, AGAIN_AFTER_STOP)
         self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
     def due(self, now_ns: int) -> bool:
-        """True when the ping `index` must be written now."""
+        """True if the ping `index` must be written now."""
         return self._count > 0 and self._due.due(now_ns)
 
     def sent(self, now_ns: int) -> None:
-        """The ping `index` was written; plan the next one."""
+        """Call it when the ping `index` was written. It plans the next ping."""
         self._sent_ns = now_ns
         self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
         self._before, self.index = self.index, self._drawn()
 
     def _drawn(self) -> int:
-        """A random index, but not the same one three times in a row."""
+        """A random index. It is never the same three times in a row."""
         mixed = self._mixed  # Marsaglia's xorshift, because `random` would cost memory
         mixed ^= mixed << 13 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 7
@@ -106,16 +109,17 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Another port was opened, and its board hears from `hears_ns` on. It is asked as often as a first one, because
-        its answers may count for questions that were lost with the port before."""
+        """Call it when another port was opened, whose board hears from `hears_ns` on. The first pings come as quickly
+        as at the start, because an answer from this board may seem to answer a ping that was lost with the port
+        before."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 
     def wait(self, until_ns: int) -> None:
-        """Put the next ping off until `until_ns`, because nobody would hear an answer before."""
+        """Postpone the next ping to `until_ns`, because the board could not answer it before."""
         self._sent_ns = max(self._sent_ns, until_ns - PING_GAP_NS)
         self._due.set(max(self._due.ns, until_ns))
 
     def failed(self, now_ns: int) -> None:
-        """The port accepts no bytes now, so try again after the gap."""
+        """Call it when the port accepted no bytes. The ping is tried again after the gap."""
         self._due.set(now_ns + PING_GAP_NS)

@@ -1,4 +1,4 @@
-"""Whether motion has to wait for the servo of a wheel, according to telemetry's newest report about the servos."""
+"""Decides whether motion must wait for the servo of a wheel, from telemetry's newest report about the servos."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 class WheelServos:
-    """Answers whether motion must wait for a wheel's servo. On a board whose wheels are not turned by servos it reads
-    no reports, so it costs nothing."""
+    """Answers whether motion must wait for a wheel's servo. If servos don't turn this robot's wheels, it reads no
+    reports, so it costs nothing."""
 
     def __init__(self, settings: Settings, health: LatestReader) -> None:
         self._settings = settings
         self._health = health if servos.turn_wheels(settings) else None
 
     def waited_for(self) -> str:
-        """The wheel for which motion has to wait, because its servo does not answer; empty if there is none."""
+        """The wheel that motion must wait for because its servo does not answer. Empty if motion need not wait."""
         report = self._health.read() if self._health else None
         return servos.waited_for(records.HEALTH.unpack(report[2]), self._settings) if report else ""

@@ -1,1 +1,1 @@
-"""The port owner: keeps the port, and is the only writer of motion frames."""
+"""The port owner: owns the port, and is the only process that writes motion frames."""

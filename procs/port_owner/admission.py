@@ -1,23 +1,23 @@
-"""Admission: decides whether a motion frame, or a frame for the arm's servos, may be written to the board. Pure; the
+"""Admission: decides whether a motion frame, or a frame for the arm's servos, may be written to the board. Pure: the
 caller passes the time and the words of shared memory.
 
 The checks are made in this order, and the first one that fails decides:
 
     check                                                    if it fails
-    the gate is watched, so it is alive                      DROP
+    the gate is being watched, so it is alive                DROP
     the frame has the current epoch                          DROP: it is from before a stop
-    the current epoch is newer than the port owner's own     DROP: the supervisor has not answered that stop
-      last stop
+    the current epoch is newer than the last stop that the   DROP: the supervisor has not answered that stop yet
+      port owner made by itself
     the frame is younger than the lease                      DROP
-    nobody has asked for a stop in the meantime              STOP_ASKED: stop for that request
+    no stop request waits                                    STOP_ASKED: stop for that request
     the gate has beaten within its lease                     stop with a cause
     the supervisor has beaten within its lease               stop with a cause
     it is a whole motor frame, no faster than allowed        stop with a cause
     (no check has failed)                                    ADMIT: write it
 
-After a stop of its own the port owner refuses all motion until it sees an epoch that is newer than the one in which it
-stopped. A frame that commands zero speed gets STAND_STILL instead of DROP while the wheels may turn, because it is
-never too late to stop.
+After the port owner has stopped by itself, it refuses all motion until it sees an epoch that is newer than the one in
+which it stopped. A frame that commands zero speed gets STAND_STILL instead of DROP while the wheels may turn, because
+it is never too late to stop.
 
 A frame for the servos must pass these checks as well:
 
@@ -31,16 +31,16 @@ A frame for the servos must pass these checks as well:
     the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
       less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
-A move that waits is one or two milliseconds late. If it were dropped, its joints would stop until the next move, one
-period later.
+A servo move that has to wait is written one or two milliseconds late. If it were dropped instead, its joints would stop
+until the next move, one period later.
 
-Before a motion frame is written, these invariants are checked too, by other facts than those of the tables. If one of
-them is broken, the robot is stopped for it (DEFECT):
+Before a motion frame is written, these invariants are checked too. They use other facts than the checks above. If an
+invariant is broken, the robot is stopped because of that defect (DEFECT):
 
     the epoch only grows (checked whenever it changes)
     only one process writes the port owner's memory
     no stop is latched in the current epoch, or in an earlier one
-    the frame was made after the port owner's own last stop
+    the frame was made after the last stop that the port owner made by itself
 """
 
 from __future__ import annotations
@@ -56,24 +56,24 @@ from failstop.procs.loop import MS, NEVER
 
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
-"""A motion frame of the gate, the epoch in which motion was enabled, and when the gate made the frame (CLOCK_MONOTONIC,
+"""A frame from the gate, the epoch in which motion was enabled, and when the gate made the frame (CLOCK_MONOTONIC,
 ns)."""
 MOST_WAITING = 16
 
 
 class Admission:
-    """Decides whether a frame may be written. It remembers the port owner's own stops."""
+    """Decides whether a motion frame may be written, and remembers the stops that the port owner made by itself."""
 
     def __init__(self, board: Board, lease_ns: int, max_rps: float) -> None:
         self._board = board
         self._lease_ns = lease_ns
         self._max_rps = max_rps
         self.stopped_in = 0
-        """The newest epoch in which the port owner has stopped by itself."""
+        """The newest epoch in which the port owner has stopped by itself; 0 if it has not."""
         self._stopped_ns = 0
         """When the port owner last stopped by itself."""
         self.wheels_move = False
-        """True once a motion frame was written since the last stop."""
+        """True if a motion frame was written since the last stop."""
 
     def decide(
         self,
@@ -86,9 +86,11 @@ class Admission:
         *,
         requested: bool,
     ) -> int | Cause:
-        """Returns ADMIT, DROP, STAND_STILL or STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: when
-        these two last beat (None: no gate is watched); `rules`: the object that checks the frame's content;
-        `requested`: a stop request waits."""
+        """Decide about one frame. Returns ADMIT, DROP, STAND_STILL or STOP_ASKED, or the cause of a stop.
+
+        `gate_ns` and `supervisor_ns`: when each of these processes last beat; None for a gate that is not being
+        watched. `rules`: checks the content of the frame. `requested`: True if a stop request waits.
+        """
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return STAND_STILL if self.wheels_move and motion[0] == self._board.stop else DROP
         if requested:
@@ -98,44 +100,45 @@ class Admission:
         return rules.check(motion[0]) or ADMIT
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop if this motion frame must not go out; None: it may."""
+        """The cause of a stop if this motion frame must not be written, or None if it may be."""
         fault = self._board.check_motion(frame, self._max_rps)
         return None if fault == "" else causes.BAD_FRAME(_said(fault))
 
     def current(self, motion: DatedFrame, epoch: int, now_ns: int) -> bool:
-        """True when the frame belongs to the current epoch, was made after any stop of the port owner's own, and is
-        young enough."""
+        """True if the frame belongs to the current epoch, the port owner has not stopped by itself in that epoch, and
+        the frame is young enough."""
         _, frame_epoch, frame_ns = motion
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """When the first of the two leases ends, if they were last renewed at these times."""
+        """When the earlier of the two leases ends, if the gate and the supervisor last beat at these times."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
-        """The cause of a stop if a lease has ended; None if both hold."""
+        """The cause of a stop if one of the two leases has ended, or None if both hold."""
         for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
             if now_ns - beat_ns >= self._lease_ns:
                 return causes.HANGS(name, (now_ns - beat_ns) // MS)
         return None
 
     def stopped(self, epoch: int, now_ns: int) -> None:
-        """Remember a stop of the port owner's own in this epoch; the supervisor answers it with a newer one."""
+        """Record that the port owner stopped by itself in this epoch. The supervisor will answer with a newer epoch."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Follow a change of the epoch, which is a stop. If the epoch went back, return a cause; from then on only an
-        epoch above all that were seen admits motion."""
+        """Follow a change of the epoch, which means a stop. If the epoch went back, return the cause for a stop. From
+        then on, motion is admitted only in an epoch higher than every epoch that was seen."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
         return causes.DEFECT(layout.SUPERVISOR, f"epoch {epoch}", f"{before} was in force")
 
     def impossible(self, frame_ns: int, epoch: int, latched_in: int, *, alone: bool) -> Cause | None:
-        """The cause of a stop if an admitted motion frame breaks an invariant; None: all hold. `latched_in`: the epoch
-        of the latched stop; 0: nothing is latched."""
+        """The cause of a stop if an admitted motion frame breaks an invariant, or None if all invariants hold.
+        `latched_in`: the epoch of the latched stop, or 0 if no stop is latched. `alone`: True if no other process
+        writes the port owner's memory."""
         if not alone:
             return causes.DEFECT(layout.PORT_OWNER, "motion", "another process writes its memory")
         if 0 < latched_in <= epoch:
@@ -144,27 +147,30 @@ class Admission:
 
 
 class BusSchedule:
-    """When the servos' bus is free, as far as this process has written to it, and which frames wait for it."""
+    """The schedule of the servos' bus: when it is free, judging by what this process has written, and which frames
+    wait."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
-        """`bus`: the servos of the board's arm; `servos`: the ids of the robot's servos, none on a robot without an
+        """`bus`: the servos of the board's arm. `servos`: the ids of the robot's servos; empty for a robot without an
         arm."""
         self._bus = bus
         self.servos = servos
         self._free_ns = 0
         self._rest_ns = 0
         self.waiting: deque[DatedFrame] = deque(maxlen=MOST_WAITING)
-        """The gate's frames for the servos that are not written yet, in order; every stop drops them."""
+        """The frames for the servos that the gate has sent and that are not written yet, in order. Every stop drops
+        them."""
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop if this frame must not go out; None: it may."""
+        """The cause of a stop if this frame for the servos must not be written, or None if it may be."""
         fault = "this robot has no arm"
         if self._bus and self.servos:
             fault = self._bus.check(frame, self.servos, LONGEST_MOVE_MS)
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
-        """When a frame that has passed check() may be written, now or soon; NEVER means that it must be dropped."""
+        """When a frame that has passed check() may be written, which is now or soon. NEVER means that it must be
+        dropped."""
         bus = self._bus
         if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER
@@ -174,7 +180,7 @@ class BusSchedule:
         return max(now_ns, self._free_ns + bus.held_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
-        """Account for a frame that was written; True if it moves a servo."""
+        """Record that a frame was written. Returns True if the frame moves a servo."""
         if self._bus is None:
             return False
         self._free_ns = max(self._free_ns, now_ns) + self._bus.held_ns(frame)
@@ -185,6 +191,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """The result of a check as text. Only an empty text lets a frame pass, because a check that forgets its return
-    value returns None."""
+    """The result of a check as text. Only an empty text lets a frame pass, so None is a fault too. It is returned by a
+    check that forgot its return value."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

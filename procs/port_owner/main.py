@@ -1,7 +1,7 @@
 """The port owner's loop. It handles causes of stops first, then motion, then the bytes that the board has sent.
 
-Between noticing a cause and writing the burst, nothing blocks, logs or builds bytes, because BURST is a constant and
-the port is open.
+Between noticing a cause and writing the burst, nothing blocks, logs or builds bytes. That is possible because BURST is
+a constant and the port is already open.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
 TICK_NS = 33 * MS
-"""The time between two ticks: a third of the time that the port owner may be silent (policy/processes.py). Whatever it
-must notice sooner rings a bell or sets a timer."""
+"""The longest time between two turns. It is a third of the time that the port owner may be silent
+(policy/processes.py). Anything that it must notice sooner rings a bell or sets a timer."""
 OTHER_BACKLOG = 128
-"""A frame that is not motion is written only while at most this many bytes are on their way to the board. A stop may
-have to wait 1.3 ms for them."""
+"""A frame that is not motion is written only if at most this many bytes are still on their way to the board. A stop
+behind these bytes has to wait up to 1.3 ms for them."""
 MOST_OTHERS = 8
-"""How many frames that are not motion may wait until the line is silent. If there are more, the oldest are dropped."""
+"""How many frames that are not motion may wait while the line must be silent. If there are more, the oldest are
+dropped."""
 
 
 class PortOwner:
-    """The port owner. Call turn() once per wake-up."""
+    """The port owner: owns the port and writes all frames to it. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings, board = context.settings, context.board
@@ -50,16 +51,16 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame while it waits until the line is silent. `_line` is the timer for that."""
+        """The newest motion frame, if it waits because the line must first be silent. The timer `_line` is set then."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
-        """A timer that is set while something moves: for the end of a lease, or for the moment when the gate has been
-        silent for too long."""
+        """A timer that is set while something moves. It is due when a lease ends, or when the gate has sent no new
+        motion for too long."""
         self._arm_due = self.loop.timer()
-        """When the arm's next waiting frame may be written."""
+        """When the next waiting frame for the arm may be written."""
         self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)
-        """Frames that are not motion; `_others_due`: when the first of them may be written."""
+        """Frames that are not motion and wait to be written. `_others_due`: when the first of them may be written."""
         self._others_due = self.loop.timer()
         self._barrier = Barrier()
         self._moved_ns = 0
@@ -79,7 +80,7 @@ class PortOwner:
         self.port.begin(monotonic_ns())
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of the port owner's records, and the bells that it rings."""
+        """Create the writers of the port owner's records, and the bells that it rings."""
         own = context.own
         self._pid_word, self._pid = (word := own.word("beat_pid")), word.get()
         self._stopped_word = own.word("stopped_epoch")
@@ -89,7 +90,7 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records, and watch the descriptors that wake the port owner."""
+        """Create the readers of other processes' records, and watch everything that wakes the port owner."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._latch = supervisor.latest_reader("latch")
@@ -104,7 +105,7 @@ class PortOwner:
         self._gate, self._telemetry = self._peers[:2]
 
     def turn(self, ready: dict[int, int]) -> bool:
-        """Handle one wake-up; False when it is time to exit."""
+        """Handle one wake-up. Returns False when it is time to exit."""
         now_ns = monotonic_ns()
         if self._requests.asked(ready, now_ns):
             self._stop_request(now_ns)
@@ -125,15 +126,15 @@ class PortOwner:
         return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
-        """Stop for a cause that the port owner has noticed: write the burst, refuse motion until there is a newer
-        epoch, and publish the cause."""
+        """Stop for a cause that the port owner itself has noticed. Write the burst, publish the cause, and refuse
+        motion until the supervisor has raised the epoch."""
         self.wire.burst()
         self._own_stop(cause_ns, monotonic_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
-        """Account for a burst that was written for a cause of the port owner's own. It belongs to the current epoch,
-        even if this process has not seen that epoch yet, because the supervisor answers the published cause with a
-        newer one."""
+        """Record a burst that was written for a cause which the port owner itself has noticed, and publish the cause.
+        The burst belongs to the current epoch, even if this process has not seen that epoch yet, because the supervisor
+        answers the published cause with a newer epoch."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
@@ -141,13 +142,13 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
-        """Write a stop without publishing a cause, because the supervisor knows the cause already, or the gate has
-        asked for the stop."""
+        """Write a stop without publishing a cause. The supervisor knows the cause already, or the gate has requested
+        the stop."""
         self.wire.burst()
         self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """Account for a burst. Returns when it was written; 0 if the kernel did not take all of it."""
+        """Record that a burst was written. Returns the time, or 0 if the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._pop_held()
@@ -159,8 +160,8 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
-        # A board that needs a pause between two stops may lose one. After motion, its repeat confirms that nothing
-        # moves.
+        # A board that needs a pause between two frames may lose a stop that follows too soon. So after motion, the word
+        # `moving` is cleared only when the stop was repeated.
         if not (self.board.after_ns and self._moved_ns):
             self._moving_word.set(0)
         return written_ns
@@ -172,8 +173,8 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))
 
     def _hear_causes(self) -> None:
-        """Stop for buttons, keys and wheels that telemetry has decoded. An empty cause means: write the stop once
-        more."""
+        """Stop for each cause that telemetry has decoded from buttons, keys and the wheels. An empty cause means that
+        the stop must be written once more."""
         while entry := self._causes.next():
             if not entry[2]:
                 self._stop_again()
@@ -182,8 +183,8 @@ class PortOwner:
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _stop_again(self) -> None:
-        """Write the stop of the wheels again, without a cause; an arm may go on. If the line must be silent first, the
-        next refresh does this instead."""
+        """Write the stop of the wheels again, without a cause. An arm may continue. If the line must be silent first,
+        nothing is written here, because the next refresh does it."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -195,7 +196,7 @@ class PortOwner:
             return
         self.wire.burst()
         written_ns = monotonic_ns()
-        # First, whichever process reports it first: the deaths of other processes follow from it.
+        # The supervisor's death first, whichever process reported its own first: other deaths may follow from it.
         if orphaned or (not self._parent.orphaned_ns and self._parent.life.dead()):
             self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
             self._parent.drop(now_ns)
@@ -204,8 +205,8 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """Write a burst for a raised epoch, which is another process's stop, unless the port owner has just stopped by
-        itself for the same cause."""
+        """Answer a raised epoch, which means that another process has noticed a cause. Write a burst, unless the port
+        owner has just stopped by itself for the same cause."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -221,14 +222,15 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop after the machine has slept, because frames are older than they look, and somebody may have moved the
-        robot."""
+        """Stop if the machine has slept, because frames are older than they look, and someone may have moved the robot.
+        Returns True if it has slept."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """Stop at the moment when a lease ends, not only at the next tick. Without motion there is nothing to stop."""
+        """Stop as soon as a lease ends; a timer wakes the port owner at that moment. Without motion there is nothing to
+        stop."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -236,7 +238,7 @@ class PortOwner:
         elif (silent_ns := now_ns - self.heartbeat.last_ns) >= HANG_NS:
             self.stop(now_ns, causes.HANGS(layout.PORT_OWNER, silent_ns // MS))
         elif now_ns - self._moved_ns > self._silence_ns:
-            # The gate still beats but sends no new frames: the board would keep the last one forever.
+            # The gate still beats but sends no new frames. The board would obey the last frame forever.
             self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
         else:
             self._await_lapse()
@@ -246,16 +248,16 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop, once, if the port does not drain. This is checked before anything new is written, because new bytes
-        have not had time to drain."""
+        """Stop, once, if the port does not drain. This must be checked before anything new is written, because new
+        bytes have not had time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
-        """Read the gate's ring. Only the newest motion frame counts, and a stop drops all motion that was queued before
-        it."""
+        """Read all frames that the gate has sent and write them. Only the newest motion frame counts, and a stop drops
+        all motion from before it."""
         motion = self._pop_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
@@ -278,15 +280,16 @@ class PortOwner:
             self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
-        """Write the burst that the gate asks for: at once while something moves, otherwise only some time after the
-        last burst. Clients that disable motion again and again must not fill the line."""
+        """Write the burst that the gate has requested. While something moves, it is written at once. Otherwise it is
+        written only if the last burst is at least REST_NS old, so that clients which disable motion again and again
+        can't fill the line."""
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_others(self) -> None:
-        """Write frames that are not motion once the line is silent: questions, and other frames that the board's rules
-        admit."""
+        """Write the waiting frames that are not motion, once the line may be used. These are questions to the board,
+        and other frames that the board's rules allow."""
         while self._others and self.wire.free_ns <= monotonic_ns():
             frame = self._others.popleft()
             if frame in self.board.pings:
@@ -296,8 +299,8 @@ class PortOwner:
         self._others_due.set(self.wire.free_ns if self._others else NEVER)
 
     def _forward_arm(self) -> None:
-        """Write the arm's frames in order. Each of them must be admitted, as motion is, and the first one that must
-        wait holds up the rest."""
+        """Write the waiting frames for the arm, in order. Each one must be admitted, as motion must. If a frame has to
+        wait, the frames behind it wait too."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -316,8 +319,8 @@ class PortOwner:
         self._arm_due.set(due_ns)
 
     def _write_arm(self, move: DatedFrame) -> None:
-        """Write a frame for the servos. The word `moving` is set only during the write, because a servo's move ends by
-        itself."""
+        """Write a frame for the servos. The word `moving` is set only during the write, because a servo's movement ends
+        by itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
@@ -337,15 +340,15 @@ class PortOwner:
             self._moving_word.set(0)
 
     def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | BusSchedule) -> int | Cause:
-        """Decide by the tables of admission.py at the time of the write, because a frame that was young enough at the
-        wake-up may be too old by then."""
+        """Decide whether a frame may be written, by the tables of admission.py. This is decided at the time of the
+        write, because a frame may have become too old since the wake-up."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _refuse(self, verdict: int | Cause, now_ns: int) -> None:
-        """Act on the decision not to write a frame."""
+        """Act on the decision not to write a frame: stop if the decision says so, otherwise only drop the frame."""
         if verdict == admission.STAND_STILL:
             self._burst()
         elif verdict == admission.STOP_ASKED:
@@ -354,8 +357,8 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Write motion now, or hold it until the line is silent. Whether it may go out is decided only when it is
-        written."""
+        """Write a motion frame now, or hold it until the line may be used. It is admitted or refused only when it is
+        about to be written."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
             self._held = motion
@@ -369,16 +372,19 @@ class PortOwner:
             self._refuse(verdict, now_ns)
 
     def _pop_held(self) -> DatedFrame | None:
-        """Return the motion frame that waits until the line is silent, and stop waiting."""
+        """Return the motion frame that waits for the line, or None, and stop waiting for it."""
         motion, self._held = self._held, None
         if motion:
             self._line.set(NEVER)
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
-        """Set the word `moving`, then check epoch and time once more, then write. A process that has raised the epoch
-        and then reads that nothing moves can therefore be sure that no outdated frame is about to be written. So a port
-        owner that is starved at this point, for however long, need not be killed."""
+        """Write an admitted motion frame. Set the word `moving`, then check epoch and time once more, then write.
+
+        This order lets other processes be sure of one thing: if they have raised the epoch and then read that nothing
+        moves, no outdated frame is about to be written. So a port owner that is starved at this point, for any time,
+        need not be killed.
+        """
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
@@ -400,25 +406,26 @@ class PortOwner:
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
-            self._requests.wake()  # from now on the next request counts at once
+            self._requests.wake()  # from now on, the next stop request is noticed at once
             self.repeats.end()
         elif stands:
-            # A stop does not wait for the next refresh, and a burst may follow bytes that are held.
+            # A stop must not wait for the next refresh. A burst may also follow bytes that are held back.
             self.wire.burst()
         if stands and turned:
-            # The board may lose it, as it may lose any stop, and the gate's next frame comes a whole refresh later.
+            # The board may lose this frame, as it may lose any stop, and the gate sends its next one a whole refresh
+            # later.
             self.repeats.restart(now_ns)
 
     def _impossible(self, frame_ns: int) -> Cause | None:
-        """The cause of a stop if an admitted motion frame breaks an invariant; None: it may go out. `frame_ns`: when
-        the frame was made."""
+        """The cause of a stop if an admitted motion frame breaks an invariant, or None if it may be written.
+        `frame_ns`: when the gate made the frame."""
         latch, alone = self._latch.read(), self._pid_word.get() == self._pid
         latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Read and flush the port, and adopt a new one, on which the supervisor has written a stop. Each loss of the
-        port is a stop with a cause of its own."""
+        """Read and flush the port, and adopt a new port if the supervisor has sent one. The supervisor has already
+        written a stop to it. Each loss of the port is a stop with its own cause."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:
@@ -439,7 +446,7 @@ class PortOwner:
         self.repeats.wait(self.wire.free_ns)
         due = self.repeats.pop(now_ns)
         if self.admission.wheels_move:
-            # Of a zero frame of the gate's, which refreshes it itself.
+            # The repeats belong to a zero frame from the gate. The gate itself sends that frame again, so no refresh.
             if due == REPEAT:
                 self._stop_again()
             elif due == REFRESH:
@@ -451,7 +458,7 @@ class PortOwner:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills the port
+    """Run until the supervisor has died and the stop is written. If the supervisor ends the service, it kills the port
     owner."""
     owner = PortOwner(context)
     context.run(owner.turn, owner.loop, TICK_NS)

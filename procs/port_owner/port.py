@@ -1,8 +1,8 @@
-"""The open port, except for writing stops: what happens when it is lost or another one is opened, the frames that a
-newly opened board gets first, and reading the board while telemetry does not run.
+"""The open port, except for writing stops. This file handles the loss of the port, a newly opened port, the frames that
+a board gets when its port was opened, and reading the board while telemetry does not run.
 
-Some boards are reset when their port is opened, and hear nothing at first. Such a port counts as open, also for motion,
-only once the board hears and has received its settings.
+Some boards are reset when their port is opened, and hear nothing at first. The port of such a board counts as open, and
+lets motion begin, only when the board hears and has received its settings.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.schedule import Pings
 
 AGAIN_NS = 20_000_000
-"""How long to wait before sending the settings again if the kernel did not take all of them."""
+"""How long to wait before the settings are sent again, if the kernel did not take all of them."""
 
 
 class OpenPort:
-    """The port that is open, and what other processes learn about it."""
+    """The port that is open, and everything that other processes learn about it."""
 
     def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
         own, board = context.own, context.board
@@ -37,30 +37,32 @@ class OpenPort:
         self._hears = loop.timer()
         state = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
-        """When the board can hear. If the port owner before this one has used the port, it was not opened again, so the
+        """When the board can hear. If an earlier port owner has used this port, the port was not opened again, so the
         board hears already."""
         self._settings_left = () if state == records.PORT_OPEN else self._opening
-        """Frames that the board must still get before the port counts as open."""
+        """Frames that the board must still receive before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
         due = loop.timer() if board.pings else Timer()
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """Records everything that the board will answer or echo. Each entry is made before its bytes are written. An
-        entry whose bytes never went out counts as lost; if an entry were missing, an answer would seem to prove a later
-        write."""
+        """Records everything that the board will answer or echo. Each entry is made before its bytes are written. If
+        the bytes then never get out, the entry counts as lost. If an entry were missing, an answer would seem to prove
+        a later write."""
         self._ping_backlog = 2 * len(board.burst)
-        """A ping is written only while at most this many bytes are on their way to the board. It may follow a stop
-        directly, so that the board handles it right after the stop."""
+        """A ping is written only if at most this many bytes are still on their way to the board. It may directly follow
+        a stop, so that the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
-        """Go on after the first burst: the port counts as open once the board hears and has received its settings."""
+        """Continue after the first burst. The port counts as open once the board hears and has received its
+        settings."""
         self._hears.set(now_ns if self._wire.lost else self.hears_ns)
         self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """The board hears from now on, so send it its settings. If the kernel refuses them or a stop cuts them off, the
-        port is not open yet; otherwise the board's own watchdog might never be set."""
+        """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or a stop
+        interrupts them, the port does not count as open and they are sent again later. Otherwise the board's own
+        watchdog might never be set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -68,7 +70,7 @@ class OpenPort:
             self._hears.set(now_ns + AGAIN_NS)
 
     def _configured(self) -> bool:
-        """Send the remaining settings; True once the kernel has taken all of them."""
+        """Send the remaining settings. Returns True once the kernel has taken all of them."""
         wire = self._wire
         for frame in self._settings_left:
             if not wire.frame(frame, len(frame) * len(self._settings_left)) or wire.unsent:
@@ -77,7 +79,7 @@ class OpenPort:
         return True
 
     def configure(self, now_ns: int) -> None:
-        """Call it once per turn: it sends the settings to a board that hears now."""
+        """Send the settings if the board hears by now. Call it once per turn."""
         if self._hears.due(now_ns):
             self._hear(now_ns)
 
@@ -88,13 +90,13 @@ class OpenPort:
             self._hears.set(now_ns)
 
     def publish(self, now_ns: int) -> None:
-        """Publish the port's state."""
+        """Publish whether the port is open or lost, with its number and path."""
         state = records.PORT_LOST if self._wire.lost else records.PORT_OPEN
         self._record.write(records.PORT.pack(self.number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def adopt(self, sent: tuple[int, int, str], now_ns: int) -> None:
-        """Adopt another port, on which the supervisor has written a stop, so that its first bytes are a burst."""
+        """Adopt a newly opened port that the supervisor has sent. The supervisor has already written a burst to it."""
         fd, self.number, self._path = sent
         self._wire.adopt(fd)
         self._settings_left = self._opening
@@ -102,8 +104,8 @@ class OpenPort:
         self.pings.opened(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
-        """Write the next ping if it is due, and publish the time before the write, because that is what its answer
-        proves."""
+        """Write the next ping if it is due. Publish the time from before the write, because an answer proves what was
+        written before that time."""
         pings = self.pings
         if not pings.due(now_ns):
             return
@@ -118,22 +120,23 @@ class OpenPort:
             pings.failed(now_ns)
 
     def ask_for_a_client(self, index: int) -> None:
-        """Write a ping that a client wants answered now, in addition to those that are due. It does not count as the
-        newest ping, because a board that is asked so often would never count as deaf."""
+        """Write a ping that a client wants answered now, in addition to the regular pings. It does not count as the
+        newest ping. Otherwise a board that clients ask very often would never count as deaf."""
         asked_ns = monotonic_ns()
         if asked_ns >= self.hears_ns:
             self._question(index, asked_ns)
 
     def _question(self, index: int, asked_ns: int) -> bool:
-        """Record and write a ping; False if it was not written."""
+        """Record a ping and write it. Returns False if it was not written."""
         if self._wire.lost:
-            # Nobody is asked, so the next board's answers must not be taken for answers to this question.
+            # The ping would not be written. If it were recorded, the next board's answer might be taken for its answer.
             return False
         self.wrote.put(records.WROTE.pack(index, ()), asked_ns)
         return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
-        """Record a motion frame that is about to be written, or a stop that was written, if the board echoes it."""
+        """Record a motion frame that is about to be written, or a stop that was written, if the board echoes such
+        frames."""
         if (speeds := self._board.commanded(frame)) is not None:
             self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
@@ -149,12 +152,12 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch the port: for its end; for room, while the kernel has not taken everything; and for the board's bytes,
-        unless telemetry reads them (`heard`).
+        """Watch the port for three things: its loss; room for more bytes, while the kernel has not taken everything;
+        and the board's bytes, unless telemetry reads them (`heard`).
 
-        EDGE is needed, although each read takes all bytes. Without it, the kernel would look for more bytes at the next
-        wait, and let this process sleep until its own worker, which has ordinary priority, is done (n_tty_poll). On a
-        busy machine the port owner would then be deaf to stops after every frame of the board, for as long as other
+        EDGE is needed although each read returns all bytes. Without it, the kernel looks for more bytes at the next
+        wait, and this process sleeps until the kernel's worker, which has ordinary priority, is done (n_tty_poll). So
+        on a busy machine the port owner would not notice stops after each frame from the board, for as long as other
         processes run.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
@@ -164,7 +167,7 @@ class OpenPort:
         self._watched = wanted
 
     def lose(self) -> None:
-        """Close the port, and stop watching it."""
+        """Stop watching the port, and close it."""
         if self._watched[0] == self._wire.fd:
             self._loop.forget(self._wire.fd)
         self._watched = (-1, 0)

@@ -1,4 +1,4 @@
-"""Port writer: writes to the port without blocking, and without letting a backlog build up."""
+"""Port writer: writes to the port without blocking, and without letting many bytes queue up in the kernel."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
-"""If a port holds bytes back for this long, it does not drain, and the robot is stopped."""
+"""If the port holds bytes back for this long, it does not drain, so the robot is stopped."""
 
 
 class PortWriter(StopPort):
-    """The port owner's writer. It writes nothing once the port is lost."""
+    """Writes to the port for the port owner. Once the port is lost, it writes nothing."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """For each early stop that the loop has not handled yet: how many of its bytes the kernel took, or ALREADY."""
+        """How many bytes the kernel took of each early stop that the loop has not handled yet, or ALREADY."""
         self._handed = 0
         """How many bytes were handed to the kernel since it last held none."""
         self._held_since_ns = 0
@@ -39,9 +39,9 @@ class PortWriter(StopPort):
         return taken
 
     def heed(self) -> None:
-        """Call this when the loop is about to look for deaths. Between an early stop and this call only bursts are
-        written; the thread that writes an early stop has marked its lifeline before, so the loop will find the
-        death."""
+        """Allow frames again after an early stop. Call it just before the loop looks for deaths. Between an early stop
+        and this call only bursts are written. The thread that writes an early stop marks its lifeline before it writes,
+        so the loop will find the death."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -68,8 +68,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """From now on, record everything that is written in the black box, beginning with the burst that was just
-        written. Attaching the ring takes milliseconds, so the first burst does not wait for it."""
+        """From now on, record everything that is written in the black box, starting with the burst that was just
+        written. Attaching the ring takes milliseconds, so this happens after the first burst."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -78,8 +78,9 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Returns False, with nothing written, if the kernel takes none of it, or if more than
-        `backlog` of the bytes that were written here are still in the kernel: a frame behind them would be late."""
+        """Write one frame. Nothing is written, and False is returned, if the kernel takes none of it. The same happens
+        if more than `backlog` of this writer's bytes are still in the kernel, because the frame would arrive late
+        behind them."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0
@@ -91,9 +92,9 @@ class PortWriter(StopPort):
         return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
-        """True if bytes have been held back for DRAIN_NS. Call it once per tick."""
+        """True if the port has held bytes back for DRAIN_NS. Call it once per tick."""
         if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
-            self._refused = False  # another thread was writing
+            self._refused = False  # the last write failed only because another thread was writing
         if self.lost or not (self.unsent or self._refused or self.holds()):
             self._held_since_ns = 0
             return False
@@ -102,7 +103,7 @@ class PortWriter(StopPort):
         return now_ns - self._held_since_ns >= DRAIN_NS
 
     def adopt(self, fd: int) -> None:
-        """Adopt a newly opened port, whose first bytes are a burst."""
+        """Adopt a newly opened port, and write a burst to it first."""
         super().adopt(fd)
         self._handed = self._held_since_ns = 0
         self._refused = False

@@ -1,8 +1,8 @@
-"""The stop pipe, to which every user may write. Any bytes in it are a request to stop; if they are a text, it is the
-reason.
+"""The stop pipe. Every user may write to it, and any bytes in it request a stop. If the bytes are text, the text is
+logged as the reason.
 
-After a request the pipe rests, so that a flood of requests does not become a flood of bursts and epochs. Bytes that
-arrive during the rest stay in the pipe, and no motion is admitted until they were read.
+After a request the pipe rests for REST_NS, so that a flood of requests does not become a flood of bursts and epochs.
+Bytes that arrive during the rest stay in the pipe. No motion is admitted until they have been read.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ REST_NS = 20_000_000
 
 
 class RequestPipe:
-    """The port owner's end of the pipe."""
+    """The port owner's end of the stop pipe."""
 
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """When the rest after a request ends."""
+        """When the rest after a request ends; NEVER while the pipe does not rest."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when a stop is requested at this wake-up."""
+        """True if a stop is requested at this wake-up."""
         if self._fd in ready:
             return True
         if self._rests.due(now_ns):
@@ -33,11 +33,11 @@ class RequestPipe:
         return False
 
     def waits(self) -> bool:
-        """True if a request waits while the pipe rests."""
+        """True if the pipe rests and another request already waits in it."""
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def accept(self, now_ns: int) -> Cause:
-        """Read the request, after its stop was written. From now on the pipe rests."""
+        """Read the request and return its cause. Call it after the stop was written. From now on the pipe rests."""
         line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)
@@ -45,7 +45,7 @@ class RequestPipe:
         return causes.requested(line)
 
     def wake(self) -> None:
-        """End the rest, so that the next request counts at once."""
+        """End the rest, so that the next request is noticed at once."""
         if self._rests.ns != NEVER:
             self._rests.set(NEVER)
             self._loop.watch(self._fd, READ)

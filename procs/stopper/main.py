@@ -1,12 +1,12 @@
 """The stopper's loop. It waits until the port owner or the supervisor dies, or the port owner falls silent. Then it
-writes the burst on its own descriptor of the port, and repeats zeros until there is another port owner.
+writes the burst on its own descriptor of the port, and repeats zeros until a new port owner runs.
 
-If the port owner does not answer in time, the stopper fences it: it sends SIGKILL, writes the burst, and writes the
-burst again when the process is gone, because the process might still have written one frame after the first burst. A
-supervisor that works does this sooner.
+If the port owner is silent for too long, the stopper fences it: it kills it with SIGKILL and writes the burst. It
+writes the burst again when the process is gone, because the dying process may still have written one frame after the
+first burst. A supervisor that works does all this sooner.
 
-While the port owner is alive, all stops go through it, because only it can order them against motion frames. So at the
-supervisor's death the stopper lets the port owner go first, but not for long.
+While the port owner is alive, all stops go through it, because only it can order them against motion frames. So when
+the supervisor dies, the stopper gives the port owner a short time to write the stop first.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ from failstop.procs.schedule import ZERO_EVERY_NS, Repeats
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
-"""Less than half of the time that it may be silent (policy/processes.py). Anything that it must notice sooner wakes
-it."""
+"""The longest sleep. It is less than half of the time that the stopper may be silent (policy/processes.py). Anything
+that the stopper must notice sooner wakes it."""
 FIRST_GO_NS = 3_000_000
-"""How long the port owner may take to answer the supervisor's death before the stopper writes anyway."""
+"""How long the port owner may take to answer the supervisor's death. After that the stopper writes a stop itself."""
 LOOK_AGAIN_NS = 200_000
 STALLED_NS = 200_000_000
-"""A stopper that was itself silent for this long judges nobody by their silence: the whole service was frozen."""
+"""If the stopper itself was silent for this long, it judges no process by its silence, because the whole service may
+have been frozen."""
 
 
 class Stopper:
@@ -55,11 +56,11 @@ class Stopper:
         self._parent = Parent(context, self.loop, 1, self._port, early=False)
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
-        """The pid of the port owner because of which it last wrote a stop."""
+        """The pid of the port owner whose death or hang the stopper last stopped for."""
         self._first_go, self._look_again, self._hang = (self.loop.timer() for _ in range(3))
 
     def turn(self, ready: dict[int, int]) -> bool:
-        """Handle one wake-up; False when it is time to exit."""
+        """Handle one wake-up. Returns False when it is time to exit."""
         now_ns = monotonic_ns()
         if now_ns - self._turned_ns > STALLED_NS:
             self._excused_ns = now_ns
@@ -73,7 +74,7 @@ class Stopper:
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """Stop for the port owner's death at once. At the supervisor's death the port owner goes first."""
+        """Stop at once if the port owner has died. If the supervisor has died, let the port owner stop first."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
@@ -88,13 +89,13 @@ class Stopper:
             self._burst(now_ns)
 
     def _succeeded(self) -> bool:
-        """True when a new port owner runs: it stopped the wheels at its start, and motion may have been enabled by now.
-        A stopper that was held up must not cut into that motion for an old death."""
+        """True if a new port owner runs. It stopped the wheels when it started, and motion may have been enabled since.
+        So a stopper that was held up must not interrupt that motion because of the old death."""
         named = self._port_owner.named()
         return named != self._stopped_for and self._port_owner.heart.running(named)
 
     def _burst(self, now_ns: int) -> None:
-        """Write the burst and plan its repeats."""
+        """Write the burst, and plan its repeats."""
         self._write()
         self._repeats.restart(now_ns)
 
@@ -103,7 +104,8 @@ class Stopper:
             self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
-        """Write the burst once the port owner's first go is over, and the repeats of an earlier burst."""
+        """Write the burst after the supervisor's death, once the port owner has answered or its time is over. Also
+        write the repeats of an earlier burst that are due."""
         self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
@@ -113,51 +115,52 @@ class Stopper:
                 self._burst(now_ns)
         elif self._repeats.pop(now_ns):
             if not self._parent.orphaned_ns and self._succeeded():
-                self._repeats.end()  # the new one repeats its own stop
+                self._repeats.end()  # the new port owner repeats its own stop
                 return
             if self._port_owner_written.get() < self._parent.orphaned_ns:
                 self._fence()
             self._write()
 
     def _hangs_ns(self) -> int:
-        """When the port owner counts as hanging unless it beats first; NEVER if none runs, or it is fenced already."""
+        """When the port owner counts as hanging if it doesn't beat before. NEVER if none runs, or if it was killed
+        already."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
             return NEVER
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Watch the port owner that the supervisor names. A silent one gets one burst and is fenced. If the machine
-        starves it and it moves nothing, it gets as much time again."""
+        """Watch the port owner whose pid the supervisor publishes. If it is silent for too long, kill it and write a
+        burst. If it is only starved and nothing moves, give it the full time again."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         if now_ns >= self._hangs_ns():
             if self._spares(now_ns):
                 self._excused_ns = now_ns
             else:
-                self._fence()  # before the burst, because it may wake up between the two
+                self._fence()  # before the burst, because it may wake up between the burst and the kill
                 self._burst(now_ns)
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
-        """True when the silent port owner is starved, and the wheels were last told to stop."""
+        """True if the silent port owner is starved, and the last thing that was written to the wheels is a stop."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
-        # Read the word last: by then it includes what the port owner was about to write when it was looked at.
+        # Read the word `moving` after the look at the process. It then includes what the process was about to write.
         is_starved = starved.look(life.pid, heart, HANG_NS, self._port_owner_bell)
         self._barrier()
         return is_starved and not self._port_owner_moving.get()
 
     def _fence(self) -> None:
-        """SIGKILL the port owner; its death is then answered like any other."""
+        """Kill the port owner with SIGKILL. Its death is then answered like any other death."""
         if life := self._port_owner.life:
             self._stopped_for = life.pid
             life.kill()
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills the
+    """Run until the supervisor has died and the stop is written. If the supervisor ends the service, it kills the
     stopper."""
     stopper = Stopper(context)
     context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)
