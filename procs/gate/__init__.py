@@ -1,1 +1,2 @@
-"""The gate: decides whether and how the wheels may turn, at every tick, and at once when something happens."""
+"""The gate: decides whether and how fast the wheels may turn, at every tick, and also at once when something
+happens."""

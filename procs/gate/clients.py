@@ -1,7 +1,8 @@
 """Clients, as the gate sees them: which slots are claimed, what is new in them, and which clients have gone.
 
-The gate reads everything with pread and believes it only when its CRC, its claim and its session agree. A client's name
-and pid are its own claims, for people to read; nothing depends on their truth.
+The gate reads all slots with pread. It believes a record only if its CRC is right, the slot is claimed and the session
+matches. A client itself chooses the name and pid that it shows. They are for people to read, and nothing depends on
+whether they are true.
 """
 
 from __future__ import annotations
@@ -21,22 +22,23 @@ if TYPE_CHECKING:
     from typing import Any
 
 News = tuple["Slot", str, tuple[object, ...]]
-"""A slot with a session; then the name of one of its records, with the record's time (ns) and values, or OVER."""
+"""One thing that is new: a slot with a session, the name of one of its records, and the record's time (ns) and values.
+If the session has ended, the name is OVER."""
 OVER = "gone"
-"""The name of the news that a session has ended. Its value is True if the session said goodbye."""
+"""Used instead of a record's name when a session has ended. The value is True if the session said goodbye."""
 ONCE = ("command", "request", "arm_goal", "aux")
-"""Records that are acted on only once, when they are new."""
+"""The records that the gate acts on only once, when they are new."""
 
 
 def newest_number(reader: LatestReader) -> int:
-    """The number of the newest entry. Entries from before a restart of the gate are not new, because the gate before
-    may have acted on them."""
+    """The number of the newest entry, or 0 if there is none. After a restart of the gate, entries up to this number
+    don't count as new, because the previous gate may have acted on them."""
     entry = reader.read()
     return entry[0] if entry else 0
 
 
 class Slot:
-    """One client slot, and the session that holds it; session 0 means that nobody holds it."""
+    """One client slot, and the session that holds it. Session 0 means that no client holds the slot."""
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
@@ -47,9 +49,9 @@ class Slot:
         self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
         self._greeting: Entry | None = None
         self._greeted: int | None = None
-        """The last hello that was read, and its session."""
+        """The entry that was last read from `hello`, and the session in it."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
-        # The gate's own record says which request was answered (requests.py).
+        # Requests start at 0, because the gate's own record says which of them were answered (requests.py).
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
@@ -61,7 +63,7 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """The session whose hello is in the slot now; None if there is no hello, or it is damaged."""
+        """The session whose hello is in the slot at the moment. None if there is no hello, or if it is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -74,7 +76,7 @@ class Slot:
         return self._greeted
 
     def parted(self) -> bool:
-        """True when the session that holds the slot has said goodbye."""
+        """True if the session that holds the slot has said goodbye."""
         entry = self._left.read()
         try:
             return entry is not None and self.session in records.LEFT.unpack(entry[2])
@@ -82,17 +84,18 @@ class Slot:
             return False
 
     def join(self, session: int) -> None:
-        """Let a session hold the slot. The records of a new session are read from the start."""
+        """Let a session hold the slot. If the session is new, all of its records count as new."""
         if session != self._session_seen:
             self._seen = dict.fromkeys(ONCE, 0)
         self.session = self._session_seen = session
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
-        """The time (ns) and values of the newest record of this name, if it is whole and of this session."""
+        """The time (ns) and values of the newest record with this name. None if it is damaged or from another
+        session."""
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record of this name, unless it was returned before."""
+        """The newest record with this name, like latest(), unless this method has returned it before."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -109,12 +112,12 @@ class Slot:
         return (entry[1], *values) if writer == self.session else None
 
     def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
-        """A command of this session with these values."""
+        """The command with these values, as a command of this session."""
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """The session's last report for people: when it came, what the program sees, what is wrong; None if there is
-        none."""
+        """The session's last report for people: when it came, what the program sees, and what is wrong. None if there
+        is none."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
@@ -122,18 +125,19 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """A client's text, cut so that the record has room for the texts of all clients. Unprintable characters are
-    replaced, because each would take three bytes."""
+    """A client's text, cut to `room` bytes, so that a record has room for the texts of all clients. Unprintable
+    characters are replaced, because each of them would take three bytes."""
     return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
-    """All client slots; `active` are those that a session holds. Act on each news before you ask for the next one."""
+    """All client slots. `active`: the slots that a session holds. Act on each item that a method yields before you take
+    the next one."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
     ) -> None:
-        """`heard`: the records to read, in this order."""
+        """`heard`: the names of the records to read, in this order."""
         self._claims_fd = claims_fd
         self._loop = loop
         self._early = early
@@ -143,40 +147,41 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """The slots to look at when the client bell rings: each byte names a slot, and a byte that is no slot's number
-        means all slots."""
+        """The slots to look at when the client bell rings. Each byte in `hints` names a slot; a byte that is not a
+        slot's number means all slots."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these slots, and yield the news. Active slots are looked at once per tick, because a ring may be lost
-        and a claim may end; sometimes all slots are, for new clients whose ring was lost."""
+        """Look at these slots, and yield what is new in them. Active slots should be looked at once per tick, because a
+        ring may be lost and a claim may end. All slots should be looked at now and then, in case a new client's ring
+        was lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
     def commands(self) -> Iterator[News]:
-        """The commands of known clients that were not handled yet."""
+        """Yield the new commands of all active clients."""
         for slot in tuple(self.active):
             if values := slot.new("command"):
                 yield slot, "command", values
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
-        """Drop each client whose lifeline reports its death, even while the kernel still frees its memory, and even if
-        a process that it forked still holds the claim."""
+        """Drop each client whose lifeline reports its death. It is dropped even if the kernel is still freeing its
+        memory, or if a process that it forked still holds the claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
-        """Watch the client's process. If neither its pid nor its futex can be watched, only its claim shows whether it
-        is alive, once per tick."""
-        # In a container the client's pid means nothing here, or another process.
+        """Watch the client's process for death. If neither its pid nor its futex can be watched, its death is noticed
+        only because its claim ends, which is checked once per tick."""
+        # If the client runs in a container, its pid means nothing here, or a different process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:
             slot.life = Lifeline(slot.pid if known else 0)
         except (OSError, OverflowError):
-            return  # the pid is wrong, or the process has gone already
+            return  # the pid is wrong, or the process has already ended
         self._loop.watch(slot.life.fd, READ)
         self._early.watch(slot.life, slot.segment)
 
@@ -189,7 +194,7 @@ class ClientTable:
             yield from self._leave(slot)
             if not session or session == slot.ended:
                 return
-            # A program that restarts after a crash must not be heard before that crash is.
+            # If a program restarts after a crash, its crash must be handled before its new session.
             for other in tuple(self.active):
                 if not claim.held(self._claims_fd, other.index) or (other.life and other.life.dead()):
                     yield from self._leave(other)
@@ -197,7 +202,7 @@ class ClientTable:
             self.active.append(slot)
             self._watch(slot)
         elif not session:
-            return  # a claim alone is no client yet, whatever else the slot contains
+            return  # the slot is claimed, but without a hello there is no client yet
         for record in self._heard:
             if values := slot.new(record) if record in ONCE else slot.latest(record):
                 yield slot, record, values

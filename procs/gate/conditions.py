@@ -1,5 +1,5 @@
-"""Conditions that must be asserted again and again for motion: the obstacle sensor, interlocks, an operator. Pure;
-every assertion comes with its time, by the clock of the process that asserts it."""
+"""Conditions for motion that must be confirmed again and again: the obstacle sensor, interlocks, and an operator's
+presence. Pure. Each confirmation comes with its time, by the clock of the process that sends it."""
 
 from __future__ import annotations
 
@@ -9,44 +9,45 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import MS
 
 AHEAD_NS = 20 * MS
-"""How far in the future a record's time stamp may be, because it may be written after the turn that reads it began. A
-stamp that is further ahead comes from another machine's clock, and would count for too long."""
+"""How far in the future a time stamp may be. A record may be written after the turn that reads it began, so a short
+time is normal. A stamp that is further ahead comes from another machine's clock, and would count for too long."""
 NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
 DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
-    """The time that counts for a time stamp: never later than now. A stamp from too far in the future becomes 0, which
-    is too old for any timeout."""
+    """The time that counts for a time stamp, never later than now. A stamp that is too far in the future becomes 0,
+    which is too old for any timeout."""
     return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
 
 
 class ScanGate:
-    """The obstacle sensor as a condition: commands of programs move the wheels only while the sensor delivers; commands
-    by hand don't need it. A silent sensor latches nothing: when it delivers again, motion resumes by itself, from
-    zero."""
+    """The obstacle sensor as a condition for motion. Programs can move the wheels only while the sensor delivers scans;
+    people who drive by hand don't need the sensor. A silent sensor latches nothing. When it delivers again, motion
+    resumes by itself, starting from zero."""
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
         self.on = on
         self._blocks = False
         self.delivered_ns = 0
-        """When the sensor last delivered; 0: never yet."""
+        """When the sensor last delivered a scan, or 0 if it has not yet."""
 
     def deliver(self, t_ns: int, now_ns: int) -> None:
         self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
 
     def silent(self, now_ns: int) -> bool:
-        """True if commands of programs must not move the wheels."""
+        """True if the sensor is silent, so programs must not move the wheels."""
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
-        """When the last delivery becomes too old."""
+        """When the last scan will become too old."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """The note for people when the sensor's silence begins or ends to block the wheels, with the sensor's age; else
-        None. While something else blocks the wheels, the sensor does not count as back."""
+        """The note for people when the sensor's silence starts or stops blocking the wheels; otherwise None. It
+        includes the age of the last scan. While something else blocks the wheels, the sensor counts as back only once
+        it delivers again. `blocks`: True if the silent sensor blocks the wheels."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -62,20 +63,21 @@ class ScanGate:
 
 
 class Interlocks:
-    """Named conditions that clients assert. To enable motion all of them must hold; losing one disables motion."""
+    """Named conditions that clients confirm. All of them must hold before motion can be enabled, and losing one
+    disables motion."""
 
     def __init__(self, declared: dict[str, tuple[int, str]]) -> None:
-        """`declared`: name -> (timeout in ns, the text of a refusal)."""
+        """`declared`: for each interlock's name, its timeout in ns and the text of a refusal."""
         self._declared = declared
         self._asserted_ns: dict[str, int] = {}
 
     def hear(self, names: list[str], t_ns: int, now_ns: int) -> None:
-        """A client asserts these interlocks. Names that the settings don't declare are ignored."""
+        """Record that a client has confirmed these interlocks. Names that are not in the settings are ignored."""
         for name in self._declared.keys() & names:
             self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
 
     def unmet(self, now_ns: int) -> str:
-        """The text of the first interlock that does not hold; empty if all hold."""
+        """The refusal text of the first interlock that does not hold. Empty if all hold."""
         for name, (timeout_ns, refusal) in self._declared.items():
             asserted_ns = self._asserted_ns.get(name)
             if asserted_ns is None or now_ns - asserted_ns > timeout_ns:
@@ -84,20 +86,20 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are present, if motion needs one (attend.required), by the session that reports them. What
-    counts is the moment at which an operator's device proves to have been there, not when the proof arrives."""
+    """The operators who are present, if motion needs one (attend.required). Each is known by the session that reports
+    the operator. What counts is the time when the operator's device proved its presence, not when the proof arrived."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
         self._lease_ns = lease_ns
         self._there: dict[int, tuple[int, str]] = {}
         self._last = ("", DEPARTED)
-        """The last operator, and how that operator's presence has ended."""
+        """The last operator, and how that operator's presence ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """Record that an operator was present at `t_ns`. A proof that is older than this operator's last one, or older
-        than the lease, renews nothing. A session reports one operator at a time: if it names another, the one before
-        has left."""
+        """Record that an operator was present at `t_ns`. A proof older than this operator's last one, or older than the
+        lease, changes nothing. A session reports one operator at a time, so if it names a new operator, the previous
+        one has left."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
@@ -106,12 +108,12 @@ class Attendance:
             self.leave(session)
 
     def leave(self, session: int) -> None:
-        """The operator of that session has left, because the session says so or has died."""
+        """Record that the operator of this session has left, because the session says so or has died."""
         if found := self._there.pop(session, None):
             self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
-        """The operators who are present. The others are forgotten."""
+        """The names of the operators who are present. Operators who were not heard for too long are removed."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]
@@ -119,11 +121,11 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """When the last operator no longer counts as present, if nothing more is heard."""
+        """When the last operator will no longer count as present, unless a new proof arrives before."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:
-        """Why motion can't be enabled without an operator; empty if it can."""
+        """The refusal text if no operator is present although motion needs one. Empty otherwise."""
         return NOBODY_ATTENDS if self.on and not self.names(now_ns) else ""
 
     def gone(self, now_ns: int) -> Cause | None:

@@ -1,13 +1,14 @@
-"""The gate's decisions. Pure: time and news are arguments; frames and texts are results.
+"""The gate's decisions about the wheels. Pure: the time and everything that has happened are arguments; frames and
+texts are results.
 
 While the wheels are blocked, the reason is the first of these that applies:
-    estop: REASON     latched; ends only by reset
-    disabled          until an explicit enable
-    let go first      the source has commanded a velocity since before motion was enabled
+    estop: REASON     a stop is latched; only a reset ends it
+    disabled          motion is disabled until somebody enables it
+    let go first      a source has commanded a velocity since before motion was enabled
     cmd timeout       no source has a command that is younger than its timeout
-    no scan           the source that drives is not manual and the obstacle sensor is silent
-While blocked, the velocity is zero at once, without a ramp. Otherwise it moves toward the clamped command by at most
-acceleration x elapsed time. The elapsed time that counts is bounded, so that a late tick makes no jump.
+    no scan           the source that drives is not manual, and the obstacle sensor is silent
+While they are blocked, the velocity is zero at once, without a ramp. Otherwise the velocity moves toward the clamped
+command by at most the acceleration times the elapsed time. That time has an upper limit, so a late tick makes no jump.
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
 MAY_MOVE = "motion enabled"
 LEAST_LIMIT = 5
-"""The lowest speed limit, percent. A lower one would be a stop that nobody notices."""
+"""The lowest speed limit that is allowed, percent. At a lower one the robot would stop without anyone knowing why."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""How many commands from unknown sources one gate logs."""
+"""The most commands from unknown sources that one gate process logs."""
 
 
 class GateCore:
-    """The gate's decisions and what they need: whether motion is enabled, the latch, the sources and their commands,
-    the velocity."""
+    """Decides how the wheels may turn. It holds what the decisions need: whether motion is enabled, the latch, the
+    sources and their commands, and the velocity."""
 
     def __init__(
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
     ) -> None:
         self.arm_waits = not arm_beside_wheels
-        """True if the arm may move only while motion is disabled."""
+        """True if the arm may move only while motion is disabled, because this board can't do both."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -60,39 +61,39 @@ class GateCore:
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.enabled_ns = 0
-        """When motion was enabled; 0 while it is disabled."""
+        """When motion was enabled, or 0 while it is disabled."""
         self.latch: Cause | None = None
-        """The latched cause, by the supervisor's record, or by the gate's own stop until the supervisor has answered
-        it."""
+        """The latched cause, from the supervisor's record. After the gate's own stop it is the gate's cause until the
+        supervisor has answered."""
         self._stopped_in = 0
-        """The epoch in which the gate stopped by itself; a newer epoch answers it."""
+        """The epoch in which the gate last stopped by itself. The supervisor answers such a stop with a newer epoch."""
         self.epoch = 0
-        """The epoch in which motion was enabled; every motion frame carries it."""
+        """The epoch in which motion was enabled. Every motion frame carries this number."""
         self.velocity = REST
         self.speeds = kinematics.rest
         self.capped = ""
-        """How an unconfirmed scale limits driving, in words; empty if the scale is confirmed."""
+        """How an unconfirmed scale limits the speed, in words. Empty if the scale is confirmed."""
         self.notes: list[Note] = []
-        """Notes for people, in order. The shell passes them on and empties the list."""
+        """Notes for people, in order. The gate's loop passes them on and empties this list."""
         self._losses = DriverLosses(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
         self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
-        """The last command of each session that has given one. The session's death counts as a driver's death, whether
-        it drives now, waits, or has fallen silent, because it would drive on once it is started again."""
+        """The last command of each session that has sent one. If such a session dies, it counts as a driver's death,
+        even if it waits or has fallen silent, because its program would drive again once it is restarted."""
         self._movers: set[int] = set()
-        """Sessions whose commands have turned the wheels."""
+        """The sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
         self._ramps_on = False
 
     def rests(self, until_ns: int) -> bool:
-        """True if the velocity stays as it is and no frame is due before `until_ns`."""
+        """True if the velocity stays as it is, and no frame must be sent before `until_ns`."""
         return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
-        """Why the wheels may not turn, as one of the texts above; empty if they may."""
+        """Why the wheels may not turn, as one of the reasons at the top of this file. Empty if they may turn."""
         if self.latch is not None:
             return f"{LATCHED}{self.latch}"
         if not self.enabled:
@@ -105,12 +106,12 @@ class GateCore:
         return ""
 
     def arm_closed(self) -> str:
-        """Why the arm accepts no goal now; empty if it accepts one."""
+        """Why the arm accepts no goal at the moment. Empty if it accepts one."""
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the command that moves the wheels becomes too old; None: nothing moves them. The wheels stop at that
-        moment, not at a later tick."""
+        """When the wheels must stop because a command, an operator's presence or the obstacle sensor becomes too old.
+        The wheels stop at that moment, not at a later tick. None if nothing moves the wheels."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None
@@ -122,9 +123,9 @@ class GateCore:
         return min(ends_ns)
 
     def accept(self, command: Command, now_ns: int) -> Cause | None:
-        """Accept a new command. Returns None if it is good, else the cause to stop for: values that are not finite, or
-        two publishers of one source. A time stamp from the future counts as now. A command for a source that is not in
-        the settings, or for the gamepad's source, is noted and ignored."""
+        """Accept a new command. Returns the cause to stop for if its values are not finite, or if two programs publish
+        for one source; otherwise None. A time stamp from the future counts as now. A command is noted and ignored if
+        its source is not in the settings, or if a client commands as the gamepad."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -139,8 +140,8 @@ class GateCore:
         return None
 
     def _note_ignored(self, command: Command) -> None:
-        """Note an ignored command, but only once for each session and source, and not without limit, because a session
-        could make up new sources forever."""
+        """Note that a command was ignored. Each session and source is noted only once. The total is limited too,
+        because a session could invent new sources forever."""
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
@@ -150,8 +151,9 @@ class GateCore:
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
-        """A client has gone; `parted`: it said goodbye. Drop its commands, and add a note if it drove. If a driver has
-        died, motion is disabled, or the cause to stop for is returned, as the setting gate.driver_death says."""
+        """Drop the commands of a client that has gone, and add a note if it drove. If a driver has died, motion is
+        disabled, or the cause to stop for is returned, depending on the setting gate.driver_death. `parted`: True if
+        the client said goodbye."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -169,9 +171,9 @@ class GateCore:
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
-        """Once per step: note a driver that has just fallen silent while the wheels turned. Depending on the setting
-        gate.driver_silence, that disables motion or returns the cause to stop for; a person who lets go of a key does
-        neither."""
+        """Check once per step whether the driver has just fallen silent while the wheels turned. This is noted.
+        Depending on the setting gate.driver_silence, it also disables motion or returns the cause to stop for. A person
+        who lets go of a key causes neither."""
         if not any(self.velocity) or self.sources.driving(now_ns):
             return None
         driver = self.sources.last_driver()
@@ -187,8 +189,8 @@ class GateCore:
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
-        """Stop at once, and forbid motion until the supervisor has latched the stop. True if nothing was latched
-        before, so that the cause must be reported."""
+        """Stop at once, and forbid motion until the supervisor has latched the stop. Returns True if nothing was
+        latched before, so the cause must be reported to the supervisor."""
         self.stand_still()
         if self.latch is not None:
             return False
@@ -197,14 +199,15 @@ class GateCore:
         return True
 
     def follow(self, latched: Cause | None, epoch: int) -> None:
-        """Follow the supervisor's latch, in this epoch."""
+        """Take over the latch that the supervisor has published in this epoch. `latched`: the latched cause, or
+        None."""
         if latched:
             self.stand_still()
         if latched or epoch > self._stopped_in:
             self.latch = latched
 
     def stand_still(self) -> None:
-        """Disable and set the velocity to zero at once."""
+        """Disable motion, and set the velocity to zero at once."""
         self.enabled = False
         self.enabled_ns = 0
         self.sources.clear()
@@ -212,7 +215,7 @@ class GateCore:
         self.speeds = self._kinematics.rest
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
-        """Why motion can't be enabled now; None when it can. `missing` names what is not ready."""
+        """Why motion can't be enabled now, or None if it can. `missing`: what the service still waits for, or empty."""
         if self.latch is not None:
             return refused(IS_LATCHED, self.latch)
         if missing:
@@ -223,7 +226,7 @@ class GateCore:
         return refused(alone) if alone else None
 
     def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
-        """Allow motion in this epoch, if nothing forbids it."""
+        """Enable motion in this epoch, if nothing forbids it. `missing`: what the service still waits for, or empty."""
         if refusal := self.refusal(missing, now_ns):
             return refusal
         if self.enabled:
@@ -235,7 +238,7 @@ class GateCore:
         return self._may_move(self.sources.hold(now_ns), now_ns)
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
-        """The answer after motion was enabled. It names the programs that command motion already, because they may move
+        """The reply after motion was enabled. It names the programs that already command motion, because they may move
         the robot next."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
@@ -249,17 +252,18 @@ class GateCore:
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
-        """Limit the speeds to this share of the settings, from the next step on; the ramps apply."""
+        """Limit all speeds to this percentage of the settings' speeds. It takes effect at the next step, and along the
+        ramps."""
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
-        """The speed limit, percent of the settings' speeds."""
+        """The speed limit, percent of the speeds in the settings."""
         self._limits = tuple(most * percent / 100 for most in self._most)
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
     def check_interlocks(self, now_ns: int) -> str:
-        """Call it once per tick: if an interlock is lost while motion is enabled, motion is disabled. Returns the text
-        of that interlock, or an empty text."""
+        """Disable motion if an interlock is lost while motion is enabled. Call it once per tick. Returns the text of
+        the lost interlock, or an empty text."""
         unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
         if unmet:
             self.stand_still()
@@ -267,8 +271,8 @@ class GateCore:
         return unmet
 
     def step(self, now_ns: int) -> WheelSpeeds | None:
-        """Advance the velocity to now. Returns the wheel speeds (turns per second) that must be sent now, or None if
-        none must be sent."""
+        """Advance the velocity to the time `now_ns`. Returns the wheel speeds (turns per second) if they must be sent
+        now, or None."""
         elapsed_s = min(now_ns - self._stepped_ns, self._longest_step_ns) * 1e-9
         self._stepped_ns = now_ns
         if not self.enabled:
@@ -307,7 +311,8 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """What helps if a held program never sends zero; empty for the gamepad, whose stick a person lets go."""
+    """A text that says what helps if a held program never sends zero. Empty for the gamepad, because a person can let
+    go of its stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

@@ -1,5 +1,5 @@
-"""The gate's loop. It handles news from clients and from the supervisor, makes a tick every period, and puts frames
-into the ring."""
+"""The gate's loop. It handles everything new from clients and from the supervisor, makes a tick every period, and puts
+frames into the ring for the port owner."""
 
 from __future__ import annotations
 
@@ -36,21 +36,22 @@ if TYPE_CHECKING:
     from typing import Any
 
 PUBLISH_NS = 75_000_000
-"""The state is published when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms, a tick
-that comes a little early would leave it to the next one: 120 ms every other time (measured)."""
+"""The state is published when it changes, and at the first tick when it is this old. So it comes at 10 Hz or faster.
+With 100 ms, a tick that comes a little early would leave it to the next tick, and every other state would come after
+120 ms (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
-"""The records of a client, in the order in which they are read: records that may forbid a command come first."""
+"""The records of a client in the order in which they are read. Records that may forbid a command come before it."""
 MOST_RINGS = 20
-"""How many wake-ups by clients are handled between two ticks: one per millisecond, which is more than eight clients at
-100 Hz need."""
+"""How many wake-ups by clients are handled between two ticks. This is one per millisecond, which is more than eight
+clients that command at 100 Hz need."""
 AUX_EVERY_NS = 10 * MS
-"""Two client frames that are not motion are at least this far apart, so that a flood of them does not fill the wire. A
-frame that comes sooner is dropped."""
+"""The shortest time between two client frames that are not motion, so that a flood of them can't fill the line. A frame
+that comes sooner is dropped."""
 LOOK_AT_ALL_EVERY = 10
-"""After this many periods the gate looks again at slots that seem to be free, and at what clients report about
-themselves."""
+"""The gate looks at all slots, including those that seem to be free, and at the clients' reports about themselves, once
+in this many periods."""
 
 
 class Gate:
@@ -79,7 +80,7 @@ class Gate:
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._aux_ns = 0
         self._turn, self._frame = 0, b""
-        """How many times in a row the last motion frame was sent, and that frame."""
+        """How often in a row the last motion frame was sent again, and that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0
@@ -100,13 +101,13 @@ class Gate:
             records.LIMIT: self._limit,
             **dict.fromkeys(ARM_VERBS, self._ask_arm),
         }
-        """The function that carries out each kind of request. If it returns None, the request is answered later."""
+        """The function that carries out each kind of request. If it returns None, the client gets its reply later."""
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         heard = HEARD if self.arm else tuple(record for record in HEARD if record != "arm_goal")
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, heard)
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of the gate's records, and the bells that it rings."""
+        """Create the writers of the gate's records, and the bells that it rings."""
         own = context.own
         self._frames = Frames(context)
         self._stops = own.ring_writer("stops")
@@ -118,7 +119,7 @@ class Gate:
         self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records, and watch the descriptors that wake the gate."""
+        """Create the readers of other processes' records, and watch everything that wakes the gate."""
         supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_heart = HeartbeatReader(supervisor)
@@ -134,7 +135,7 @@ class Gate:
         self.loop.watch(self._client_bell, READ)
 
     def follow_latch(self) -> None:
-        """Read the supervisor's latch; a restarted gate does this too."""
+        """Read the latch that the supervisor has published. A gate that was restarted does this too."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -152,7 +153,7 @@ class Gate:
             self.follow_latch()
             self.requests.answer_reset(now_ns)
         self._hear_clients(self.clients.lives_ended(ready), now_ns)
-        if self._client_bell in ready:  # last: a new client may get a number closed above
+        if self._client_bell in ready:  # last, because a new client may get a descriptor number that was closed above
             self._client_rang(now_ns)
         self._hear_telemetry(now_ns)
         if self.core.enabled:
@@ -160,10 +161,10 @@ class Gate:
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
-            # A client that repeats its command has not rung a bell.
+            # A client that repeats the same command does not ring a bell, so look for it.
             self._hear_clients(self.clients.look(self.clients.active), now_ns)
             self._step(now_ns)
-        # When the current driver's command stops counting, as this turn saw it; the tick keeps it in mind.
+        # When the driver's command will stop counting. The tick has just looked at all clients.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
         if self.arm:
             self._turn_arm(self.arm, now_ns)
@@ -175,8 +176,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """True while a tick every other period is enough. A client that comes or wants something else rings, and a
-        death is reported."""
+        """True if a tick every other period is enough. That is so because a new client, or one that wants something
+        new, rings a bell, and because a client's death is reported at once."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -198,7 +199,7 @@ class Gate:
             self._hear(slot, record, values, now_ns)
 
     def _hear(self, slot: Slot, record: str, values: tuple[Any, ...], now_ns: int) -> None:
-        """Act on one record of a client (`values`: its time and content), or on the client's end."""
+        """Act on one record of a client, or on the end of its session. `values`: the record's time and content."""
         match record:
             case "command":
                 self._command(slot.command(*values), now_ns)
@@ -219,14 +220,14 @@ class Gate:
                 self._client_gone(now_ns, slot, *values)
 
     def _forward_aux(self, now_ns: int, _written_ns: int, frame: bytes) -> None:
-        """Hand the port owner a client's frame that is not motion; the port owner decides whether it may go out."""
+        """Pass a client's frame that is not motion to the port owner, which decides whether it may be written."""
         if now_ns - self._aux_ns >= AUX_EVERY_NS:
             self._aux_ns = now_ns
             self._frames.put(records.OTHER, frame, now_ns)
 
     def _client_rang(self, now_ns: int) -> None:
-        """Read the clients' records at once. But a flood of rings is handled only at the ticks, because it would take a
-        core from processes of lower priority."""
+        """Read the clients' records at once. If too many rings come, the rest is handled at the next tick, because a
+        flood of rings would take a core from processes of lower priority."""
         rung = self.clients.hinted(bell.receive(self._client_bell))
         self._hear_clients(self.clients.look(rung), now_ns)
         self._rings += 1
@@ -234,10 +235,10 @@ class Gate:
             self.loop.forget(self._client_bell)
 
     def _tick(self, now_ns: int) -> None:
-        self._ticking = True  # a command is stepped to at its end, once
+        self._ticking = True  # so that new commands are not stepped to one by one, but once at the end of the tick
         self._rest.ticked(now_ns)
         if self._rings >= MOST_RINGS:
-            self._client_rang(now_ns)  # a new client among them is not in a used slot yet
+            self._client_rang(now_ns)  # a new client may have rung, whose slot is not among the active ones yet
             self.loop.watch(self._client_bell, READ)
         self._rings = 0
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
@@ -255,14 +256,14 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """Disable motion if the supervisor is silent. The port owner then admits no motion, so nobody may be told that
-        it is enabled."""
+        """Stop if the supervisor is silent while motion is enabled. The port owner admits no motion then, so nobody
+        should be told that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _check_turning(self, now_ns: int) -> None:
-        """Disable motion if the wheels turn while nobody commands anything."""
+        """Disable motion if the wheels turn although zero is commanded."""
         core = self.core
         if why := self._turning.check(now_ns, idle=core.enabled and not any(core.velocity)):
             core.stand_still()
@@ -270,7 +271,7 @@ class Gate:
             self._frames.stop(now_ns)
 
     def _pass_remarks(self, now_ns: int) -> None:
-        """Pass on the clients' reports about themselves, unjudged."""
+        """Pass on the clients' reports about themselves. The gate does not judge them."""
         rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
         if (notes := self._said.update(rows, now_ns)) is not None:
             self.core.notes += notes
@@ -303,7 +304,7 @@ class Gate:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _hear_telemetry(self, now_ns: int) -> None:
-        """Handle the gamepad's sticks and telemetry's requests: a reset, or a frame that is not motion."""
+        """Handle the gamepad's sticks, and telemetry's requests. These are resets, and frames that are not motion."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -317,8 +318,8 @@ class Gate:
                 self._frames.put(records.OTHER, frame, now_ns)
 
     def _stop(self, cause: Cause | None, now_ns: int) -> None:
-        """If there is a cause, latch a stop: first write the burst, then report the cause to the supervisor, which
-        raises the epoch."""
+        """If there is a cause, stop: tell the port owner to write the burst, then report the cause to the supervisor.
+        The supervisor latches the stop and raises the epoch."""
         if cause and self.core.stop(cause, self.epoch):
             self._stop_all(IS_LATCHED, now_ns, cause)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
@@ -339,7 +340,7 @@ class Gate:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
     def _missing(self) -> str:
-        """What motion still waits for; empty if nothing is missing."""
+        """What motion still waits for, in words. Empty if nothing is missing."""
         if self._ready_word.get():
             return ""
         link = self._link.read()
@@ -348,20 +349,21 @@ class Gate:
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
-        """Enable motion, if nothing forbids it. An arm that must be folded first goes to the drive pose."""
+        """Enable motion, if nothing forbids it. If the robot's arm must be folded first, it goes to its drive pose, and
+        the reply comes later."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
         return way or self._allow_motion(now_ns)
 
     def _allow_motion(self, now_ns: int) -> Reply:
-        """Enable motion. Programs that are commanding at this moment are held, also those whose command was not read
-        yet, because a client's requests are read before its commands."""
+        """Enable motion. First read all new commands, because a client's requests are read before its commands. So a
+        program that is commanding at this moment is held even if its command had not been read yet."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
-        """Disable motion. Moving wheels are stopped, and nothing is latched."""
+        """Disable motion. Turning wheels are stopped, but nothing is latched."""
         reply = self.core.disable()
         self._stop_all(reply.text, now_ns)
         return reply
@@ -388,7 +390,7 @@ class Gate:
         return refused(IS_LATCHED, done)
 
     def _command(self, command: Command, now_ns: int) -> None:
-        """Handle a new command. It moves the wheels at once, not only at the next tick."""
+        """Handle a new command. It moves the wheels at once and does not wait for the next tick."""
         self._box.command(command)
         if fault := self.core.accept(command, now_ns):
             self._stop(fault, now_ns)
@@ -396,7 +398,8 @@ class Gate:
             self._step(now_ns)
 
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
-        """Record that an operator was present at `t_ns`, as this session reports. 0: the operator has left."""
+        """Record that an operator was present at `t_ns`, as this session reports. If `t_ns` is 0, the operator has
+        left."""
         if names and t_ns:
             self.core.attendance.hear(slot.session, bounded(names[0], records.WHO_BYTES), t_ns, now_ns)
         elif names:
@@ -407,7 +410,7 @@ class Gate:
             self._stop(self.arm.goal(slot, t_ns, mode, values, self.core.arm_closed(), now_ns), now_ns)
 
     def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
-        """Handle a client that has left, or whose claim has ended. If it drove, the wheels stop at once."""
+        """Handle a client that has left or died. If it drove, the wheels stop at once."""
         self.core.attendance.leave(slot.session)
         if parted:
             self._said.part(slot.session)
@@ -422,9 +425,8 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and at least every PUBLISH_NS. The time of the sensor's last delivery
-        is new at every tick but waits for that, because each reader would have to unpack the state at every tick
-        too."""
+        """Publish the state when it has changed, and at least every PUBLISH_NS. The time of the last scan changes at
+        every tick, but alone it does not cause a new state, because each reader would have to unpack that state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
@@ -457,7 +459,7 @@ class Gate:
 
 
 def run(context: Context) -> int:
-    """Run forever; the gate dies with the supervisor."""
+    """Run the gate. It does not end by itself; it is killed when the supervisor dies."""
     gate = Gate(context)
     context.run(gate.turn, gate.loop, PERIODS_AT_REST * gate.period_ns)
     return 0

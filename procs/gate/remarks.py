@@ -1,4 +1,4 @@
-"""Remarks: notes for people about requests and about drivers that stopped driving, and the clients' reports about
+"""Remarks: notes for people about requests, about drivers that stopped driving, and about the clients' reports on
 themselves. Pure."""
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from failstop.policy.causes import Reply
 from failstop.procs.gate.sources import Command
 
 SaidRow = tuple[int, int, str, int, str, str]
-"""A client's report: its session, slot, name, time (CLOCK_MONOTONIC ns), what it sees, and what is wrong (may be
-empty)."""
+"""A client's report about itself: its session, slot, name, time (CLOCK_MONOTONIC ns), what it sees, and what is wrong
+(empty if nothing is)."""
 
 VERBS = {
     records.ENABLE: "enable",
@@ -26,19 +26,20 @@ VERBS = {
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
-"""A client that repeats a request endlessly causes five notes per second, not a thousand."""
+"""The shortest time between two notes about requests, once MOST_AT_ONCE are used up. So a client that repeats a request
+endlessly causes five notes per second, not a thousand."""
 AGES = ("ms", "s", "min", "h", "day", "days")
-"""The units of a length of time in a client's report, as words.span writes it. A regular expression would cost the gate
-the import of `re` at each start."""
+"""The units of a length of time in a client's report, as words.span writes them. A regular expression is not used,
+because importing `re` would slow each start of the gate."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""The shortest time between two notes about drivers that fall silent. A program that commands less often than its
+"""The shortest time between two notes about drivers that fell silent. A program that commands less often than its
 timeout starts and stops the wheels again and again."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """A note about the effect or the refusal of a request; None if it changed nothing. `enabled`: whether motion was
-    enabled before the request."""
+    """The note about a request that had an effect or was refused. None if it changed nothing. `enabled`: True if motion
+    was enabled before the request."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -58,14 +59,14 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
 
 
 class Budget:
-    """Limits the number of notes: some at once, then one at a time."""
+    """Limits the number of notes. A certain number may be made at once, and after that one per time interval."""
 
     def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
         self._most = self._left = most
         self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
-        """How many notes were left out since the last one."""
+        """How many notes were left out since the last note was made."""
 
     def spend(self, now_ns: int) -> bool:
         """True if one more note may be made now."""
@@ -80,16 +81,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """The note that motion was disabled because a driver has died. It is always made, because motion needs another
-    enable. `moved`: the driver's commands have turned the wheels."""
+    """The note that motion was disabled because a driver has died. It is never left out, because motion must be enabled
+    again. `moved`: True if the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """The note that motion was disabled because a driver has fallen silent. It is always made, because motion needs
-    another enable."""
+    """The note that motion was disabled because a driver has fallen silent. It is never left out, because motion must
+    be enabled again."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -97,15 +98,15 @@ def disabled_by_silence(driver: Command, now_ns: int) -> Note:
 
 
 class DriverLosses:
-    """Notes about drivers that stopped driving, after which the gate commands zero and nothing is latched. Driving by
-    hand has a budget of its own, so that a person's pauses can't hide a failing program."""
+    """Makes notes about drivers that stopped driving, if the gate then commands zero but latches nothing. Driving by
+    hand has a separate budget, so a person's pauses can't hide a failing program."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
     def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """The notes about a driver that has sent nothing for its timeout."""
+        """The notes about a driver that has sent no command for its timeout."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
@@ -114,7 +115,8 @@ class DriverLosses:
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
-        """The notes about a driver that has died; `parted`: it ended with a goodbye, which ends its command."""
+        """The notes about a driver that has died. `parted`: True if it said goodbye, which ends its command
+        normally."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
         return self._note("driver_gone", driver, "ended or died while it drove, so the wheels are told to stop", now_ns)
@@ -127,22 +129,23 @@ class DriverLosses:
 
 
 class SelfReports:
-    """What each session last reported about itself: what it sees, and what is wrong. It is for people, and nothing
-    depends on whether it is true."""
+    """What each session last reported about itself: what its program sees, and what is wrong. The reports are for
+    people, and nothing depends on whether they are true."""
 
     def __init__(self, now_ns: int) -> None:
         self._rows: dict[int, SaidRow] = {}
         self._parted: set[int] = set()
-        """Sessions that have said goodbye since the last update."""
+        """The sessions that have said goodbye since the last update."""
         self._budget = Budget(now_ns)
 
     def part(self, session: int) -> None:
-        """Note that a session has said goodbye. Its program may go on running, as the guard does when it gives back its
-        own slot for a driver, so update() does not say that it has gone."""
+        """Record that a session has said goodbye. Its program may still run: for example, the guard gives back its own
+        slot when a driver needs one. So update() does not report that the program has gone."""
         self._parted.add(session)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """Replace the reports of all sessions. Returns notes for people, or None if not even a time has changed."""
+        """Replace the reports of all sessions by `rows`. Returns notes for people. Returns None if nothing has changed,
+        not even a report's time."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None
@@ -153,13 +156,13 @@ class SelfReports:
         return [note for note in notes if self._budget.spend(now_ns)]
 
     def table(self) -> list[tuple[int, int, str, str]]:
-        """Slot, time, what it sees, and what is wrong, for each session."""
+        """The report of each session as (slot, time, what it sees, what is wrong)."""
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 
 def _ageless(text: str) -> list[str]:
-    """The words of a text without its lengths of time. A report that only grows older is no news, and would fill the
-    log."""
+    """The words of a text without its lengths of time. If only those have changed, the report has just become older,
+    and noting it again would fill the log."""
     kept: list[str] = []
     for word in text.split(" "):
         if kept and word.rstrip(";,.") in AGES and kept[-1].replace(".", "", 1).isdecimal():
@@ -180,7 +183,8 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
 
 
 def _gone(row: SaidRow, *, parted: bool) -> Note | None:
-    """The note about a session that has ended. After a goodbye, only a report of something wrong is worth ending."""
+    """The note about a session that has ended. After a goodbye it is needed only if the last report said that something
+    is wrong."""
     _, _, who, _, _, wrong = row
     text = f"{who} has gone"
     if parted:

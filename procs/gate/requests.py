@@ -1,5 +1,5 @@
-"""Requests of clients. Resets go to the supervisor one at a time. A request that could start motion is refused if
-somebody has asked for a stop, a disable or a hold after it was made."""
+"""Requests of clients. Resets go to the supervisor one at a time. A request that could start motion is refused if,
+after it was made, somebody has requested a stop, a disable or a hold."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""For each request after which something may move: the later requests because of which it is refused. A later stop
-refuses all of them."""
+"""For each request that may start motion, the later requests that make the gate refuse it. A later stop makes the gate
+refuse all of these requests."""
 
 
 class Request(Data):
-    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, its slot and its session. Without a slot
-    it is the gamepad's."""
+    """A request: what is requested, when it was made (CLOCK_MONOTONIC ns), its number, its session and its slot. A
+    request without a slot comes from the gamepad."""
 
     verb: int
     asked_ns: int
@@ -41,30 +41,31 @@ class Request(Data):
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
-        """A record of the slot that the request refers to; see Slot.latest()."""
+        """A record in the client's slot that belongs to the request. See Slot.latest(). None for the gamepad."""
         return self.slot.latest(record) if self.slot else None
 
 
 class Requests:
-    """Decides which requests are refused because of later ones, passes on the resets that wait, and writes the
-    answers."""
+    """Decides which requests are refused because of later ones, passes waiting resets to the supervisor, and writes the
+    replies."""
 
     def __init__(self, context: Context, notes: list[Note], now_ns: int) -> None:
-        """`notes`: the list for notes to people."""
+        """`notes`: the list to which notes for people are added."""
         own, supervisor = context.own, context.segment("supervisor")
         self._notes = notes
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """For each verb: when the newest request that was carried out had been made."""
+        """For each kind of request, the time at which the newest carried-out request was made."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
-        """The session and the number of the last request that was answered in each slot, also by an earlier gate."""
+        """For each slot, the session and number of the last request that was answered, by this gate or an earlier
+        one."""
         self._oldest_ns = now_ns - records.ANSWER_WITHIN_NS
         self._answers: list[tuple[int, bytes]] = []
-        """Answers that are not written yet, each with its slot."""
+        """Replies that are not written yet, each with the index of its slot."""
         self._resets: list[Request] = []
-        """The resets that wait; the first of them is being decided."""
+        """The resets that wait. The supervisor is deciding about the first one."""
         self._asked_word, self._asked_ns_word = own.word("resets_asked"), own.word("reset_asked_ns")
         self._decided_word, self._decided = supervisor.word("resets"), supervisor.latest_reader("reset")
         self._resets_seen = self._decided_word.get()
@@ -72,28 +73,29 @@ class Requests:
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
-        """True if the request was answered before. A gate that starts finds the newest request of each client, which
-        the gate before may have answered."""
+        """True if the request was answered before. When a gate starts, it finds the newest request of each client
+        again, and the previous gate may have answered it."""
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Why the request is refused before anything else is checked, or None. It is refused if it could move something
-        and somebody has stopped motion since it was made, if its client no longer waits for an answer, or if it is a
-        reset by a person who has not seen the newest stop. `stopped_ns` and `last` describe the last stop."""
+        """Why the request is refused before anything else is checked, or None. There are three reasons: it could start
+        motion and motion was stopped or a later request replaced it; its client no longer waits for a reply; or it is a
+        reset by someone who has not seen the newest stop. `stopped_ns` and `last`: when the last stop was, and its
+        cause."""
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:
             return refused("the gate restarted after you asked: ask again")
         if request.verb == records.RESET:
             _, seen = request.about("seen") or (0, 0)
-            # A stop that comes after this look is newer than the request, so the supervisor refuses it.
+            # If a stop comes after this check, it is newer than the request, so the supervisor refuses the request.
             return refused(UNSEEN) if seen and seen != self._epoch_word.get() else None
         if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY.get(request.verb, ())):
             return refused("a later request replaced it: ask again")
         return None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
-        """Answer a request, and note it for people. `enabled`: whether motion was enabled before the request."""
+        """Reply to a request, and note it for people. `enabled`: True if motion was enabled before the request."""
         verb = request.verb
         if reply.done:
             self._asked_ns[verb] = max(self._asked_ns.get(verb, 0), min(request.asked_ns, now_ns))
@@ -102,8 +104,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Answer a client at the next write(). A request that the session has given up for a later one gets no answer,
-        because there is room only for one answer, that of the later one."""
+        """Reply to a client at the next write(). A request that its session has replaced by a later one gets no reply,
+        because there is only room for one."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -112,14 +114,14 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the answers after the state that resulted from them. A writer has a barrier before each entry
-        (cell.py), so a client that reads an answer never reads an older state."""
+        """Write the replies. Call it after the state that results from them was published. Each entry is written behind
+        a barrier (cell.py), so a client that has read a reply never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
 
     def _remark(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool) -> None:
-        """Note for people which client asked for what, and the effect."""
+        """Add a note for people that says which client requested what, and with what result."""
         who, pid = (request.slot.name, request.slot.pid) if request.slot else (PAD_SOURCE, 0)
         note = of_request(request.verb, who, pid, reply, enabled=enabled)
         if note and self._budget.spend(now_ns):
@@ -129,7 +131,8 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
-        """Queue a reset; the supervisor gets it when it is its turn. Only the newest reset of each slot waits."""
+        """Queue a reset. It is passed to the supervisor when the resets before it are decided. Of each slot, only the
+        newest reset waits."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -142,13 +145,13 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True if a reset was decided since the last call. If you read the latch afterwards, it is at least as new as
-        that decision, because of the barrier before the decision's entry."""
+        """True if the supervisor has decided a reset since the last call. If you read the latch after this call, it is
+        at least as new as the decision, because the supervisor writes the decision behind a barrier."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """Give the client the supervisor's decision. The client may have asked an earlier gate."""
+        """Pass the supervisor's decision to the client. The client may have made its request to an earlier gate."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return
@@ -159,7 +162,8 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """The session and the number of the request to which the newest whole answer belongs; zeros if there is none."""
+    """The session and number of the request that the newest whole reply belongs to. Zeros if there is none, or if that
+    reply was only about progress."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

@@ -1,5 +1,5 @@
-"""Rest: which ticks the gate skips while the velocity does not change, and the word `busy`, which lets other processes
-rest while no client is present."""
+"""Rest: decides which ticks the gate can skip while the velocity does not change. It also sets the word `busy`, so that
+other processes can rest while nothing can move."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PERIODS_AT_REST = 2
 
 
 class Rest:
-    """Plans the gate's ticks, and its beats between them."""
+    """Plans the gate's ticks, and the beats between the ticks."""
 
     def __init__(self, context: Context, loop: Loop, tick: Timer, period_ns: int) -> None:
         self._loop, self._tick, self._period_ns = loop, tick, period_ns
@@ -22,16 +22,16 @@ class Rest:
         self._word.set(0)
 
     def beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when nothing has happened and only a beat is due."""
+        """True if nothing has happened and only a beat is due, so the rest of the turn can be skipped."""
         return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """Begin a tick. A tick that was missed is skipped."""
+        """Call it when a tick begins. A missed tick is not made up for."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:
-        """Call at the end of a whole turn. The next tick is due one period after the last, or two while the gate
-        `rests` or is late. `busy`: something could move for a client that is present."""
+        """Plan the next tick, one period after the last one. If the gate `rests` or is late, it comes after two
+        periods. Call it at the end of each turn. `busy`: True if something could move, or a client is present."""
         if busy != bool(self._word.get()):
             self._word.set(busy)
             self._bell.ring()

@@ -1,4 +1,4 @@
-"""Rings: frames for the port owner, and the gate's part of the black box."""
+"""Rings that the gate writes: the frames for the port owner, and the gate's part of the black box."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NONE_YET = Command(records.NOBODY, "", -(2**62), (0.0, 0.0, 0.0), source="")
 
 
 class Frames:
-    """The ring of frames for the port owner; each put wakes the port owner."""
+    """The ring of frames for the port owner. Each frame that is put wakes the port owner."""
 
     def __init__(self, context: Context) -> None:
         self._ring = context.own.ring_writer("frames")
@@ -21,7 +21,8 @@ class Frames:
         """The newest epoch. Every frame carries it, except motion frames."""
 
     def put(self, kind: int, body: bytes, now_ns: int, epoch: int | None = None) -> None:
-        """Put a frame with the newest epoch, or with the epoch in which motion was enabled."""
+        """Put a frame into the ring. It carries the newest epoch, unless `epoch` is given. Motion frames give the epoch
+        in which motion was enabled."""
         self._ring.put(records.FRAME.pack(self.epoch if epoch is None else epoch, kind, body), now_ns)
         self._port_owner_bell.ring()
 
@@ -30,7 +31,8 @@ class Frames:
 
 
 class GateBox:
-    """The gate's part of the black box: a record for each tick, with the newest command and its result."""
+    """The gate's part of the black box. It has one record per tick, with the newest command and the resulting
+    speeds."""
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring
@@ -38,7 +40,7 @@ class GateBox:
         self._count = 0
 
     def command(self, command: Command) -> None:
-        """Record that a command came, good or bad."""
+        """Record that a command came, whether it was accepted or not."""
         self._newest = command
         self._count += 1
 

@@ -1,13 +1,13 @@
-"""Sources: which programs may command, and in which order. Pure.
+"""Sources: which programs may command motion, and which of them has priority. Pure.
 
-A source is named in the settings, with its own priority and timeout. The highest source with a fresh command drives. A
-higher source takes over at once. A lower one gets the wheels back only after the higher one was silent for its timeout,
-and then starts from zero along the ramp. The gamepad in its drive mode is a source above all others, which no setting
-or client can name.
+Each source has a name, a priority and a timeout in the settings. The source with the highest priority that has a fresh
+command drives. A source with a higher priority takes over at once. A lower one gets the wheels back only after the
+higher one was silent for its timeout, and then it starts from zero along the ramp. The gamepad in its drive mode is a
+source above all others. No setting and no client can use its name.
 
-Enabling motion moves nothing: a source that commands a velocity at that moment is held until it has sent zero, or was
-silent for its timeout. So a stick that is still held, or a program that never stopped commanding, does not drive off by
-itself, whichever way motion was enabled.
+Enabling motion moves nothing. A source that commands a velocity at that moment is held until it has sent zero or was
+silent for its timeout. So a stick that is still pushed, or a program that never stopped commanding, does not drive the
+robot off, no matter how motion was enabled.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 PAD_PRIORITY = 101
 JUST_COMMANDED_NS = 5_000_000_000
-"""A program that commanded motion within this time before an enable is likely to command it again."""
+"""If a program has commanded motion within this time before an enable, it is likely to do so again."""
 PAD_SESSION = records.NOBODY
-"""The session of the pad's commands, which come from telemetry."""
+"""The session of the gamepad's commands. They come from telemetry, not from a client."""
 
 
 class Command(Data):
-    """A velocity command: its session, its source, its time (CLOCK_MONOTONIC ns) and its velocity."""
+    """A velocity command with its session, the name of its program, its time (CLOCK_MONOTONIC ns) and its source. The
+    velocity is (vx, vy, wz) in m/s, m/s and rad/s."""
 
     session: int
     who: str
@@ -35,13 +36,13 @@ class Command(Data):
 
     @property
     def moves(self) -> bool:
-        """True if it asks for a velocity other than zero."""
+        """True if the commanded velocity is not zero."""
         return any(self.velocity)
 
     @property
     def by_hand(self) -> bool:
-        """True if a person drives through a program and ends a command by letting go of a key. The gamepad reports its
-        sticks for as long as it is in range, so its silence is a loss."""
+        """True if a person drives through a program and ends a command by letting go of a key. False for the gamepad:
+        it reports its sticks as long as it is in range, so its silence means that it was lost."""
         return self.manual and self.source != PAD_SOURCE
 
 
@@ -49,38 +50,39 @@ class Sources:
     """The last command of each source, and which source drives."""
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
-        """`declared`: name -> (priority, timeout in ns), the highest first."""
+        """`declared`: for each source's name, its priority and its timeout in ns, the highest priority first."""
         rows = {PAD_SOURCE: (PAD_PRIORITY, pad_timeout_ns), **declared}
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._held: dict[str, str] = {}
-        """For each source that is held, the name of its program."""
+        """The name of the program for each source that is held."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
-        """The command that drove at `_asked_ns`. It is kept because each turn asks for it many times."""
+        """The command that drove at `_asked_ns`. It is kept because it is needed many times in each turn."""
 
     def allows(self, command: Command) -> bool:
-        """True if a client commands as a source of the settings, or the gamepad as its own source."""
+        """True if a client commands as a source of the settings, or if the gamepad commands as its own source."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
-        """The source's command, if it is not older than its timeout."""
+        """The source's last command, or None if it is older than the source's timeout."""
         command = self._commands.get(source)
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """When this command becomes too old."""
+        """When this command will be too old."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:
-        """Another program's command for the same source, if it still counts."""
+        """A fresh command of another program for the same source, or None."""
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """Keep a source's new command; a time stamp from the future counts as now."""
+        """Keep a source's new command. A time stamp from the future counts as now. A held source is released if it
+        sends zero or has paused."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)
@@ -90,25 +92,25 @@ class Sources:
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
-        """Hold each source that commands a velocity while motion is being enabled: its commands count again after a
-        zero or a pause. Returns the names of the programs."""
+        """Hold each source that commands a velocity while motion is being enabled. Its commands count again after it
+        has sent zero or paused. Returns the names of the held programs."""
         fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
         self._held = {source: command.who for source, command in fresh.items() if command.moves}
         self._asked_ns = -1
         return list(self._held.values())
 
     def held(self, now_ns: int) -> list[str]:
-        """The programs that are held and still send commands."""
+        """The names of the held programs that still send commands."""
         return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
 
     def holds(self, now_ns: int) -> bool:
-        """True while a program that is held still sends commands."""
+        """True while a held program still sends commands."""
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """The programs whose last command was motion, a short time ago, but no longer counts, each with the age of that
-        command in ns. Some of them command less often than their timeout; they are not held, because they pause each
-        time."""
+        """The programs whose last command was motion and is no longer fresh, but came only a short time ago. Each comes
+        with the age of that command, ns. This happens to programs that command less often than their timeout. They are
+        not held, because each pause would release them."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -117,19 +119,19 @@ class Sources:
         ]
 
     def drop(self, session: int) -> None:
-        """Forget every command of a session."""
+        """Forget all commands of a session."""
         self._commands = {source: kept for source, kept in self._commands.items() if kept.session != session}
         self._asked_ns = -1
 
     def clear(self) -> None:
-        """Motion was disabled, so no source drives. The sources' commands are kept, so that the next enable can hold
-        those that go on commanding."""
+        """Call it when motion was disabled, so no source drives. The sources' commands are kept, so that the next
+        enable can hold the sources that still command motion."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
-        """The command of the highest source that is fresh and not held."""
+        """The command that drives: the one of the highest source that is fresh and not held. None if there is none."""
         if now_ns != self._asked_ns:
             self._asked_ns = now_ns
             free = (self.fresh(source, now_ns) for source in self._rank if source not in self._held)
@@ -137,20 +139,20 @@ class Sources:
         return self._found
 
     def last_driver(self) -> Command | None:
-        """The last command of the source that drove last, however old it is."""
+        """The last command of the source that drove last, no matter how old it is."""
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
-        """The command that drives from now on, and True if the wheels fall back from a higher source to this lower
-        one."""
+        """Find the command that drives from now on (or None). The second value is True if the wheels go from a higher
+        source back to a lower one."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """A row for each source with a command that counts or is held, and for the last driver if it fell silent while
-        the wheels turned; the highest source first, for people."""
+        """The sources for people, the highest first. There is a row for each source with a fresh command, held or not.
+        The source that drove last has a row too if it fell silent while the wheels turned."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

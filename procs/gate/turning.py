@@ -1,4 +1,4 @@
-"""Turning: notices wheels that turn although motion is enabled and zero is commanded, by the board's reports."""
+"""Turning: notices from the board's reports that the wheels turn although motion is enabled and zero is commanded."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ _BY_REPORTS = records.WHEELS_BY.index("wheels")
 
 
 class TurningWatch:
-    """Watches for such wheels. Call check() once per tick."""
+    """Notices wheels that turn although zero is commanded. Call check() once per tick."""
 
     def __init__(self, seen: LatestReader, after_ns: int) -> None:
-        """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn after zero was commanded."""
+        """`seen`: reads telemetry's record of the wheels. `after_ns`: how long the wheels may turn after zero was
+        commanded."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """Since when motion is enabled and zero is commanded; 0 if it is not."""
+        """Since when motion has been enabled and zero commanded, or 0 if that is not so."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
-        """Why motion must be disabled; empty if there is no reason. `idle`: motion is enabled and zero is commanded."""
+        """The reason why motion must be disabled, or empty if there is none. `idle`: True if motion is enabled and zero
+        is commanded."""
         self._idle_ns = (self._idle_ns or now_ns) if idle else 0
         if not idle or now_ns - self._idle_ns < self._after_ns:
             return ""
         entry = self._seen.read()
-        # A report from before the wheels were told zero for this long is about other commands.
+        # An older report is about earlier commands, from before zero had been commanded for long enough.
         if entry is None or entry[1] - self._idle_ns < self._after_ns:
             return ""
         _, by, unexpected, *_ = records.WHEELS_SEEN.unpack(entry[2])

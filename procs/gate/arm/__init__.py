@@ -1,1 +1,1 @@
-"""The arm's part of the gate. All its decisions are pure, with the time as an argument; core.py connects them."""
+"""The arm's part of the gate. All decisions are pure, with the time as an argument. core.py connects them."""

@@ -1,9 +1,10 @@
-"""The arm's decisions. Pure: time and news are arguments; frames for the servos and texts are results.
+"""The gate's decisions about the arm. Pure: the time and everything that has happened are arguments; frames for the
+servos and texts are results.
 
-The arm moves only while motion is disabled and nothing is latched: a stop or an enable takes it from the client that
-moves it. Its way is streamed: each joint gets one move of arm.period_s after another, a few servos per frame, so that
-the arm stops at the end of its last move if the gate dies. A joint that was stopped on its way is read before it moves
-again.
+Unless the board can move arm and wheels together, the arm moves only while motion is disabled and no stop is latched. A
+stop or an enable takes the arm from the client that moves it. A movement is streamed: each joint gets one short move of
+arm.period_s after another, and each frame has the moves of a few servos. So if the gate dies, the arm stops at the end
+of its last move. A joint that was stopped before its goal is read again before it moves.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from failstop.procs.gate.arm.stream import Space, Stream
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
-"""The session number of the service's own trajectories, to the drive pose and to the tuck pose."""
+"""The session number of trajectories that the service itself makes, to the drive pose and to the tuck pose."""
 TORQUE_APART_NS = 4_000_000
-"""Time between two frames that switch a torque on or off."""
+"""The shortest time between two frames that switch a servo's torque on or off."""
 STEPS_APART_NS = 1_000_000
-"""The shortest time between two steps, so that a step with more work to do does not keep the gate awake."""
+"""The shortest time between two steps, so that a step which has more work to do does not keep the gate awake."""
 NEAR = 0.5
-"""A trajectory counts as finished when the joint is this close to its end, in pulses. A frame can't express less."""
+"""A trajectory counts as finished when each joint is this close to its end, in pulses. A frame can't express less."""
 LOST_NS = 2_000_000_000
-"""A trajectory has failed if it is not finished this long after it should be."""
+"""If a trajectory is not finished this long after it should be, it has failed."""
 FIND_NS = 4_000_000_000
 
 
 class ArmCore:
-    """The arm's decisions and what they need: its joints, the goal that it follows, and the next question to the
+    """Decides how the arm moves. It holds the joints, the goal that the arm follows, and the next question to the
     servos."""
 
     def __init__(self, settings: Settings, bus: ServoBus, now_ns: int) -> None:
@@ -50,49 +51,50 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """For each session whose stream was ended by a stop or an enable and that still sends goals: its last goal."""
+        """The sessions whose stream of goals was ended by a stop or an enable, but which still send goals. The value is
+        the time of the session's last goal."""
         self._torque_ns = 0
-        """When the servos' bus is free of the last torque command."""
+        """When the servos' bus is free again after the last torque command."""
         self.due_ns = now_ns
-        """When to call step() again if nothing happens before. Each step sets it to a later time."""
+        """When step() must be called again, unless something happens before. Each step sets it to a later time."""
         self._left: dict[Joint, float] = {}
-        """The last goals of servos that go on to their goal by themselves (ServoBus.holds_by_goal), as long as they may
-        not be there yet."""
+        """The last goal of each servo that moves on to its goal by itself (ServoBus.holds_by_goal), until the servo is
+        known to have arrived."""
         self.letting_go: list[Joint] = []
-        """Joints whose torque must still be switched off."""
+        """The joints whose torque must still be switched off."""
         self.active_ns = 0
-        """When the arm was last moved or asked to move; 0: never, or its torque was switched off since then."""
+        """When the arm was last moved, or asked to move. 0 if never, or if its torque was switched off since then."""
         self.released = False
         self.refused = ""
-        """Why the last goal of a stream was not accepted."""
+        """Why the last goal of a stream was not accepted. Empty if it was."""
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """The trajectory, until it is over."""
+        """The current trajectory, or None if there is none or it is over."""
         return self._trajectory if self._trajectory and not self._trajectory.done else None
 
     @property
     def followed(self) -> Trajectory | Goal | None:
-        """The goal that the arm follows now, of all goals that were requested."""
+        """The goal or trajectory that the arm follows now, or None."""
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Another client whose goal counts now; empty if there is none."""
+        """The name of another client whose goal counts at the moment. Empty if there is none."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """True if the arm follows a goal of this session now, or would follow it if it could."""
+        """True if the arm follows a goal of this session, or would follow it if nothing forbade that."""
         return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
     def accept(self, goal: Goal, closed: str, now_ns: int) -> None:
-        """Accept a goal of a stream, or set `refused` to the reason why not. The shell looks for other publishers.
-        `closed`: why the arm accepts none now; empty if it does."""
+        """Accept a goal of a stream, or set `refused` to the reason why not. The caller must have checked that no other
+        program sends goals. `closed`: why the arm accepts no goals at the moment; empty if it does."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
         self.refused = self._shut(goal, closed) or check(goal.ends)
@@ -109,8 +111,8 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Why no goal of this stream counts now. If a stream goes on while a stop is latched and reset, the reset must
-        not move the arm: a person who holds a key must let go of it first."""
+        """Why no goal of this stream counts now; empty if goals count. If a stream continues while a stop is latched
+        and then reset, the reset must not move the arm. A person who holds a key must first let go of it."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -121,8 +123,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. The client that moved the arm before loses the arm and gets the reason `why`. Returns
-        what drop() returns."""
+        """Begin a trajectory. A client that moved the arm before loses it, and gets the reason `why`. Returns True if a
+        stop must be written, like drop()."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -133,8 +135,8 @@ class ArmCore:
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """The trajectory to a pose of the settings, drive or tuck; pass it to execute(). None if no joint is part of
-        that pose."""
+        """The trajectory to a pose of the settings, which can be passed to execute(). `purpose`: drive or tuck. None if
+        no joint is part of the pose."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -142,8 +144,8 @@ class ArmCore:
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     def drop(self, why: str, cause: Cause | None = None) -> bool:
-        """Forget every goal. Returns True if a stop must be written, because the arm may still be moving. `cause`: the
-        cause of a latched stop."""
+        """Forget all goals. Returns True if a stop must be written because the arm may still be moving. `why`: the
+        reason for the client. `cause`: the cause of a latched stop, or None."""
         was = self.streaming()
         if trajectory := self.trajectory:
             trajectory.finish(why, dropped=True)
@@ -153,8 +155,9 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Like drop(), for a stop that is written in any case. It also ends moves whose goals were forgotten, and the
-        streams of all sessions except for `but`; an ended stream counts again after a pause."""
+        """Forget all goals, like drop(), if the caller writes a stop in any case. This also ends switching off the
+        torque, and the stream of the session that moves the arm, unless that session is `but`. An ended stream counts
+        again after a pause."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -166,12 +169,13 @@ class ArmCore:
         self._stream.end()
 
     def forget(self) -> None:
-        """From now on nobody reads the servos, so their positions must be read again before the joints move."""
+        """Forget where the joints are, because nobody reads the servos from now on. Each joint is read again before it
+        moves."""
         for joint in self.joints:
             joint.forget()
 
     def release(self, now_ns: int) -> None:
-        """Switch off the torque of all servos, one after the other."""
+        """Switch off the torque of all servos, one after another."""
         self.drop("released")
         self.forget()
         for joint in self.joints:
@@ -185,9 +189,9 @@ class ArmCore:
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
-        """Go on. Returns (frame, hold): the frame to send now, if one is due, and True if the arm must be held first
-        because a goal was not renewed. There is at most one frame per step, which limits how long a stop may have to
-        wait."""
+        """Do the next step. Returns (frame, hold). `frame` must be sent now, or is empty. If `hold` is True, the arm
+        must be stopped first, for example because a goal was not renewed. There is at most one frame per step, which
+        limits how long a stop may have to wait."""
         found = self._go_on(now_ns)
         self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
         return found
@@ -217,8 +221,9 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """Stop joints that lag behind the last goals of an ended stream, by sending them to where they are. All of them
-        are stopped at once, in as many frames as needed, because nothing can be read while a joint moves."""
+        """The frame that stops joints which lag behind the last goals of an ended stream. It sends each joint to where
+        it is. All of them are stopped one right after another, in as many frames as needed, because nothing can be read
+        while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -233,7 +238,7 @@ class ArmCore:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
     def _free_ns(self) -> int:
-        """When the servos' bus is free of the last question and the last torque command."""
+        """When the servos' bus is free again after the last question and the last torque command."""
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
@@ -242,7 +247,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """When there is something to do next; a time in the past means at once."""
+        """When there is something to do next. A time in the past means at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
@@ -251,19 +256,21 @@ class ArmCore:
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
-        """Forget a goal that was not renewed. True if it was moving the arm."""
+        """Forget a goal that was not renewed in time. Returns True if the goal was moving the arm."""
         if self._goal is None or self._fresh(self._goal, now_ns):
             return False
         self._goal = None
         return not self.trajectory and self.drop("not renewed")
 
     def _advance_trajectory(self, now_ns: int) -> list[Joint]:
-        """Begin the trajectory's next phase when one is over. Returns the joints whose positions it waits for."""
+        """Begin the next phase of the trajectory if the current one is over. Returns the joints that must be read
+        before it can continue."""
         trajectory = self.trajectory
         if trajectory is None:
             return []
         silent = [joint for joint in trajectory.joints if joint.silent]
-        # Ask all servos before reporting that some are silent, because that tells a bad cable from a missing arm.
+        # Ask all servos before reporting silent ones. If all are silent, the arm is missing; if some are, a cable is
+        # bad.
         asked = all(joint.known or joint in silent for joint in trajectory.joints)
         if silent and (asked or trajectory.phase != goals.FINDING):
             servos = _listed("servo", [str(joint.servo) for joint in silent])
@@ -296,15 +303,15 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Check the end of a trajectory by reading each joint twice after it has stopped."""
+        """Check the end of a trajectory. Each joint is read twice after it has stopped."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """Which joint is not where it should be, and by how much, according to its reading; empty if all are in
-        place."""
+        """A text about a joint that is not where it should be, and by how much, from its last reading. Empty if all
+        joints are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -312,7 +319,7 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """Switch on the torque of one joint if it may be off. Call it again for the next joint."""
+        """The frame that switches on the torque of one joint whose torque may be off. Each call handles one joint."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -327,7 +334,7 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Begin to stream: from now on each of these joints gets a move every period."""
+        """Begin to stream. From now on each of these joints gets a move in every period."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -337,8 +344,8 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, returned as in step(). If the arm would hit something, a trajectory ends, and a goal
-        waits."""
+        """The moves that are due, returned as in step(). If the arm would hit something, a trajectory ends, but a
+        stream's goal only waits."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -349,7 +356,7 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """The frame that asks moving joints where they are, if the board has such a frame."""
+        """The frame that asks moving joints for their positions, if the board has such a frame and it is due."""
         joints = self._reader.look(now_ns)
         return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
@@ -358,12 +365,12 @@ class ArmCore:
             self._reader.seen(servo, value, t_ns)
             return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
-            # If a servo is turned beyond the range of a move, go as close as possible.
+            # If a servo was turned beyond the range of its moves, use the nearest position within the range.
             joint.position = float(max(0, min(joint.measured or 0, joint.highest)))
             joint.known = True
 
     def pose_name(self) -> str:
-        """The pose in which the joints were last read, drive or tuck; empty if it is another one, or not known."""
+        """The pose in which the joints were last read: drive or tuck. Empty if it is neither, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
             judged = self.judged(purpose)
             if judged and all(joint.known for joint in judged) and not self.off(judged):
@@ -371,16 +378,17 @@ class ArmCore:
         return ""
 
     def judged(self, purpose: str) -> dict[Joint, float]:
-        """Where the joints that count for a pose of the settings must be."""
+        """The position that each joint must have in a pose of the settings, for the joints that count for it."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
-        """Why the last goal of a stream was not accepted, or is not followed any further."""
+        """Why the last goal of a stream was not accepted, or can't be followed any further. Empty if it is followed."""
         return self.refused or self._stream.blocked
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """The joints that must be read, within FIND_NS, before the trajectory goes on."""
+    """The joints that must be read before the trajectory can continue. It fails if they were not read within
+    FIND_NS."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

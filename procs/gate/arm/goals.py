@@ -1,7 +1,7 @@
 """Goals: what clients want the arm to do. Pure.
 
-A trajectory has an end, which is read back. Follow and jog are goals that a client renews; while there is no
-trajectory, the newest one counts for the settings' arm.goal_timeout_s.
+A trajectory has an end, where the joints are read back. The modes follow and jog are streams of goals that a client
+renews. While there is no trajectory, the newest goal of a stream counts for arm.goal_timeout_s.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ SETTLING = "settling"
 CHECKING = "reading back where it is"
 
 Waypoint = tuple[float, dict[Joint, float]]
-"""A time (s from the start), and where each joint of the goal must be then, in pulses."""
+"""A time (s from the start), and the position of each joint at that time, in pulses."""
 
 
 class Goal(Data):
-    """Follow or jog: a target for each joint, in pulses or pulses/s."""
+    """A goal of a stream. In the mode follow it is a position for each joint, in pulses. In the mode jog it is a rate
+    for each joint, in pulses/s."""
 
     mode: str
     session: int
@@ -43,20 +44,21 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The targets or rates of the joints."""
+        """The positions or the rates of the joints."""
         return self.ends
 
 
 class Trajectory:
-    """Where each joint must be at which time, until its end is read back. A pose is a trajectory too."""
+    """The positions of joints over time. At the end, the joints are read back. A movement to a pose is a trajectory
+    too."""
 
     mode = TRAJECTORY
 
     def __init__(
         self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Waypoint], share: float = 1.0
     ) -> None:
-        """`rows`: where the joints must be at which time; where they begin is read first. `share`: the share of each
-        joint's speed. A first row with time 0 is reached as fast as that share allows."""
+        """`rows`: the positions at certain times; the positions at the start are read first. If the first row has the
+        time 0, it is reached as fast as `share` allows. `share`: the share of each joint's speed that may be used."""
         self.purpose = purpose
         self.session = session
         self.who = who
@@ -67,27 +69,28 @@ class Trajectory:
         self.since_ns = 0
         self.begun_ns = 0
         self.done = self.dropped = False
-        """`done`: the trajectory is over; `dropped`: it is over because another client has taken the arm."""
+        """`done`: the trajectory is over. `dropped`: it is over because the arm was taken from its client."""
         self.outcome = ""
         self.stopped_for: Cause | None = None
-        """The latched cause that has ended the trajectory; None if something else has."""
+        """The cause of the latched stop that has ended the trajectory, or None if it ended otherwise."""
 
     @property
     def ends(self) -> dict[Joint, float]:
-        """Where each joint must be at the end; empty if the trajectory only reads where they are."""
+        """The position of each joint at the end. Empty if the trajectory only reads where the joints are."""
         return self._rows[-1][1] if self._rows else {}
 
     @property
     def length_s(self) -> float:
-        """How long the trajectory takes once it has begun, s."""
+        """How long the trajectory takes after it has begun, s."""
         return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
-        """Begin at the joints' present positions, once all are known. Returns why it can't begin, or ""."""
+        """Begin at the joints' present positions, which must be known. Returns why the trajectory can't begin, or an
+        empty text."""
         start = {joint: joint.position for joint in self.joints}
         t_s, first = self._rows[0]
         if not t_s:
-            # The time that the slowest joint needs; following adds the ramps.
+            # The time that the slowest joint needs at full speed. The joints' ramps make the movement a little longer.
             t_s = max(0.1, *(abs(end - start[joint]) / (joint.speed * self.share) for joint, end in first.items()))
         self._rows = [(0.0, start), (t_s, first), *self._rows[1:]]
         self.begun_ns = now_ns
@@ -106,7 +109,7 @@ class Trajectory:
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
-        """End the trajectory: with success, or with the reason `outcome`."""
+        """End the trajectory. It is a success if `outcome` is empty; otherwise `outcome` is the reason."""
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:
@@ -115,7 +118,7 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """The text about a joint that may not turn at its rate, with its limit; empty if all joints may."""
+    """A text about a joint that may not turn at its rate (rad/s), with the allowed rate. Empty if all joints may."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -124,8 +127,8 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """The text about a joint that would have to turn too fast between two rows of a trajectory; empty if there is
-    none."""
+    """A text about a joint that would have to turn too fast between two rows of a trajectory, or about times that do
+    not increase. Empty if there is no such fault."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

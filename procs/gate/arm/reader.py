@@ -1,8 +1,8 @@
-"""Reader: asks the servos one question at a time, and decides which answers can be believed. Pure.
+"""Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
-The firmware does not match answers with questions: a late answer is taken for that of the next question, which then
-succeeds with 0. So after an unanswered question the next answer does not count, nor does any 0, and a position counts
-when two readings in a row agree.
+The firmware does not match answers with questions. It takes a late answer for the answer to the next question, and then
+the question after that succeeds with the value 0. So after an unanswered question the next answer is ignored, a 0 never
+counts, and a position counts only when two readings in a row agree.
 """
 
 from __future__ import annotations
@@ -11,28 +11,31 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""How much longer the port owner may take for one frame than for another, on a busy machine. If a frame arrives too
-soon after the one before, the port owner drops it, and it would count as an unanswered question."""
+"""By how much the port owner's delays for two frames may differ on a busy machine. If a question arrives too soon after
+the frame before it, the port owner drops it, and it would seem to be unanswered."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
-"""The time after the last move in which the port owner passes no question, because a servo may still be moving."""
+"""How long after the last move no question is asked. The port owner would drop it, because a servo may still be
+moving."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
-"""The time between two questions. The port owner passes none while an earlier one may still block the receiver."""
+"""The shortest time between two questions. The port owner drops a question while an earlier one may still block the
+receiver."""
 WAIT_NS = 40_000_000
-"""How long to wait for an answer. It takes a few milliseconds through board, port owner and telemetry."""
+"""How long to wait for an answer. It normally takes a few milliseconds, through the board, the port owner and
+telemetry."""
 IDLE_NS = 150_000_000
-"""Time between two questions that nobody waits for."""
+"""The time between two questions that nobody waits for."""
 AGREE = 5
 """How many pulses two readings of a resting servo may differ."""
 LOOKS_APART_NS = 16_000_000
-"""Time between two questions about moving joints, on a board that has such questions. So each of six joints is read 30
-times per second."""
+"""The time between two questions about moving joints, on a board that has such questions. So each of six joints is read
+30 times per second."""
 LOOKED = 3
-"""How many joints such a question asks about."""
+"""How many joints each question about moving joints asks about."""
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
 class ServoReader:
-    """The question that is open, and the choice of the next one."""
+    """Keeps track of the question that is waiting for its answer, and chooses the next one."""
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:
         self._joints = joints
@@ -47,7 +50,7 @@ class ServoReader:
         """When the next question about moving joints may be asked."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """The joints to ask about now while they move; empty if no such question is due."""
+        """The joints to ask about now, while joints move. Empty if no such question is due."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -55,24 +58,25 @@ class ServoReader:
         return self._joints[at : at + LOOKED]
 
     def seen(self, servo: int, value: int, t_ns: int) -> None:
-        """Record the position of a moving joint. One reading is enough, because nothing is commanded from it."""
+        """Record the position of a moving joint. One reading is enough, because nothing is commanded based on it."""
         for joint in self._joints:
             if joint.servo == servo:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """Record that a servo was moved, so no question is asked until it has stopped."""
+        """Record that a servo was moved. No question is asked until it must have stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """When the receiver is certainly done with the last question. Before that the port owner passes nothing."""
+        """When the receiver is certainly done with the last question. Until then the port owner passes nothing."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
         return self._asked_ns + WAIT_NS if self._asked else max(self._next_ns, self._quiet_ns)
 
     def ask(self, wanted: list[Joint], now_ns: int) -> tuple[Joint, int] | None:
-        """The question to ask now; None if none is due. `wanted`: the joints whose position a trajectory waits for."""
+        """The question to ask now, as (joint, what to ask), or None if none is due. `wanted`: the joints whose
+        positions are needed first."""
         if self._asked and now_ns >= self._asked_ns + WAIT_NS:
             self._missed(self._asked[0])
         if self._asked or now_ns < self._next_ns or now_ns < self._quiet_ns:
@@ -80,7 +84,7 @@ class ServoReader:
         self._turn += 1
         if wanted:
             joint, what = wanted[self._turn % len(wanted)], POSITION
-            if joint.unpaired is None:  # the second reading, at once
+            if joint.unpaired is None:  # ask this joint again at once, for the second reading
                 self._turn -= 1
         else:
             joint, what = self._idly()
@@ -89,18 +93,18 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """The question to ask when nobody waits: positions, twice in a row, and sometimes another value."""
+        """The question to ask when nobody waits for one. It is a position, twice in a row, and then another value."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """End the idle pause, because a trajectory waits from now on."""
+        """End the pause between idle questions, because someone waits for positions from now on."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> Joint | None:
-        """Record an answer from the board. Returns the joint whose position is known because of it, if any."""
+        """Record an answer from the board. Returns the joint whose position is known because of it, or None."""
         if self._asked is None or (self._asked[0].servo, self._asked[1]) != (servo, what):
             return None
         joint = self._asked[0]
@@ -111,7 +115,7 @@ class ServoReader:
         if self._distrust:
             self._distrust = False
             if value:
-                joint.misses = 0  # the value may belong to another question, but something answers
+                joint.misses = 0  # the value may belong to another question, but it shows that the servo answers
             return None
         if what == TORQUE:
             joint.loaded = value > 0

@@ -1,6 +1,6 @@
-"""The arm's part of the gate's loop: it reads the clients' goals and requests, and sends frames and replies.
+"""The arm's part of the gate's loop. It reads the clients' goals and requests, and sends frames and replies.
 
-A request that takes time gets more than one reply: its progress (records.UNDER_WAY), and in the end DONE or REFUSED.
+A request that takes time gets several replies: first its progress (records.UNDER_WAY), and at the end DONE or REFUSED.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ BOX_NS = 100_000_000
 GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
-"""The gamepad's session number, which no client has."""
+"""The session number of the gamepad's goals. No client has this number."""
 
 
 class Waiter(Data):
-    """A client that waits for the end of a trajectory. `enables`: it wants motion enabled afterwards."""
+    """A client that waits for the end of a trajectory. `enables`: True if the client wants motion enabled after it."""
 
     request: Request
     trajectory: Trajectory
@@ -70,14 +70,14 @@ class Arm:
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
-        """The trajectory to the tuck pose, until people were told how it ended."""
+        """The automatic trajectory to the tuck pose, until its end was handled."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._joint_notes: dict[str, str] = {}
         """The last note about each joint."""
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
-        """Handle the servos' answers and the gamepad. Returns the cause to stop for, or None. `closed`, here and below:
-        why the arm accepts no goal now; empty if it accepts one."""
+        """Handle the servos' answers and the gamepad. Returns the cause to stop for, or None. `closed`, here and in
+        other methods: why the arm accepts no goal at the moment; empty if it accepts one."""
         while entry := self._answers.next():
             self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         return self._hear_pad(closed, now_ns)
@@ -90,14 +90,15 @@ class Arm:
             self._frames.put(records.ARM, frame, now_ns)
 
     def finish_turn(self, closed: str, now_ns: int) -> None:
-        """Tuck the arm if it is left alone, and report what has changed."""
+        """Tuck the arm if nobody has used it for a while, and report what has changed. Call it at the end of each
+        turn."""
         self._update_tuck(closed, now_ns)
         self._report_joints()
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
-        """Record the arm's goal in the black box, whenever its mode or the program that moves it changes, and otherwise
-        ten times per second."""
+        """Record the arm's goal in the black box. This is done when the mode or the moving program changes, and
+        otherwise ten times per second while the arm follows a goal."""
         followed = self.core.followed
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
@@ -106,7 +107,8 @@ class Arm:
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def client_gone(self, session: int, now_ns: int) -> None:
-        """Handle a client that has left or died: hold the joints that it moved, and forget what it waited for."""
+        """Handle a client that has left or died. Stop the joints that it moved, and forget the request that it waits
+        for."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
@@ -121,7 +123,7 @@ class Arm:
     def goal(
         self, slot: Slot, t_ns: int, mode: int, values: dict[int, float], closed: str, now_ns: int
     ) -> Cause | None:
-        """Accept a new goal of a stream; returns the cause to stop for."""
+        """Accept a new goal of a stream. Returns the cause to stop for, or None."""
         if mode not in GOAL_MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return None
@@ -129,8 +131,8 @@ class Arm:
         return self._accept(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """Accept a goal. If two programs publish goals at once, a stop is latched; while the arm accepts no goals, none
-        of them counts as the first."""
+        """Accept a goal. Returns the cause to stop for if two programs send goals at the same time, otherwise None. A
+        goal that is sent while the arm accepts none does not count for this."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.accept(goal, closed, now_ns)
@@ -141,8 +143,8 @@ class Arm:
         return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
     def _hear_pad(self, closed: str, now_ns: int) -> Cause | None:
-        """Treat the gamepad in its joint mode like any other publisher of goals. When its stick is let go, the joint is
-        held."""
+        """Handle the gamepad in its joint mode like any other program that sends goals. When its stick is let go, the
+        joint stops."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
             return None
@@ -167,7 +169,7 @@ class Arm:
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Act on any other request about the arm; returns the reply, or the cause to stop for."""
+        """Carry out any other request about the arm. Returns the reply, or the cause to stop for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -184,7 +186,7 @@ class Arm:
         return self._execute(Waiter(request, trajectory), "preempted", now_ns)
 
     def _trajectory(self, request: Request) -> Trajectory | str:
-        """The requested trajectory, or a text that says why there is none."""
+        """The requested trajectory, or a text that says why the request can't be carried out."""
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
@@ -205,7 +207,7 @@ class Arm:
         return goals.too_fast_between(way) or Trajectory(goals.MOVE, request.session, request.who, joints, way, share)
 
     def _execute(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
-        """Begin a trajectory for a waiting client; `why`: the text for the client that moved the arm before."""
+        """Begin a trajectory for a waiting client. `why`: the text for the client that moved the arm before."""
         if self.core.execute(waiter.trajectory, now_ns, why):
             self._frames.stop(now_ns)
         self.answer_waiter(now_ns)
@@ -213,8 +215,8 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Report the progress and the end to the client that waits. Once the arm was read to be in its drive pose,
-        return that client's request to enable motion."""
+        """Report progress, and at last the result, to the client that waits. If that client wants motion enabled and
+        the arm was read to be in its drive pose, its request is returned; otherwise None."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -237,9 +239,12 @@ class Arm:
         return None
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
-        """Send the arm to the drive pose. Returns the reply to the client; answer_waiter() returns this request once
-        the pose was read back. Returns None if the settings have no drive pose: the arm then stays where it is, or goes
-        on while the wheels move, and motion may be enabled now."""
+        """Send the arm to its drive pose, because a client wants motion enabled. Returns the reply for the client. When
+        the pose has been read back, answer_waiter() returns the request.
+
+        Returns None if the settings have no drive pose, so motion may be enabled at once. The arm then stays where it
+        is or, on a board whose arm may move while the wheels do, goes on.
+        """
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
@@ -256,8 +261,8 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Why motion can't be enabled although the arm has finished its way to the drive pose, by the joints' measured
-        positions; empty if it can."""
+        """Why motion can't be enabled although the trajectory to the drive pose is over, judging by the joints'
+        measured positions. Empty if motion can be enabled."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
@@ -266,7 +271,7 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck an arm that is left alone. An arm that moves, or that may not move, does not count as left alone."""
+        """Tuck the arm if nobody has used it for a while. While it moves, or must not move, it counts as used."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
@@ -280,7 +285,7 @@ class Arm:
         elif not (trajectory := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
         elif not core.off(trajectory.ends):
-            core.active_ns = 0  # it is tucked
+            core.active_ns = 0  # it is already tucked
         elif not self._tuck_announced:
             self._tuck_announced = True
             self._add_note(f"nobody uses the arm, so it goes to its tuck pose in {self._notice_s:g} s")
@@ -290,7 +295,7 @@ class Arm:
             self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
-        """Time until the arm tucks itself, s; None if it does not, because it was not used or its torque is off."""
+        """The time until the arm tucks itself, s. None if it will not, because it was not used or its torque is off."""
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
@@ -298,7 +303,7 @@ class Arm:
         self._notes.append(Note("arm", text, level=level))
 
     def _report_joints(self) -> None:
-        """Report a servo's fault once, and once more when it is over."""
+        """Report the fault of a servo once, and report once when the fault is over."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:
@@ -314,7 +319,7 @@ class Arm:
                 )
 
     def state(self, closed: str, now_ns: int) -> dict[str, object]:
-        """The arm's part of the gate's state, for people and programs."""
+        """The arm's part of the state that the gate publishes, for people and programs."""
         core = self.core
         trajectory, followed = core.trajectory, core.followed
         left_s, pose = self._tuck_left_s(now_ns), core.pose_name()

@@ -1,6 +1,6 @@
-"""Stream: the moves of the moving joints, one for each joint every arm.period_s. Pure.
+"""Stream: sends each moving joint a move every arm.period_s. Pure.
 
-A frame holds the moves of a few servos, and the frames of one period are spread over it.
+Each frame has the moves of a few servos. The frames of one period are spread evenly over the period.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
-"""The time between two late frames of moves. If they were closer together, a stop might have to wait too long for them,
-so the port owner would drop the second one."""
+"""The shortest time between two frames of moves. If late frames were sent closer together, a stop might have to wait
+too long for them, so the port owner would drop the second one."""
 
 
 class Space:
-    """Checks whether the arm would hit something if the joints went on to their next positions.
+    """Checks whether the arm would hit something if its joints moved to their next positions.
 
-    It checks the end of each move before the move is sent. A servo that gets no further move stops at the end of the
-    last one, which was checked too. Parts that already touch, according to the model, may move apart.
+    The end of each move is checked before the move is sent. A servo that gets no further move stops at the end of its
+    last one, which was checked. If parts touch already, according to the model, they may move apart.
     """
 
     def __init__(self, settings: Settings, joints: list[Joint]) -> None:
         self._joints = joints
         self._model = Model(settings) if settings.on("arm.collision") else None
-        """The model of the arm; None if nothing is checked."""
+        """The model of the arm, or None if collisions are not checked."""
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Joints whose positions must be known before `joints` move. A joint that does not answer counts as where it
-        was last."""
+        """The joints whose positions must be known before `joints` move. A joint that does not answer is left out, and
+        counts as being where it was last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
-        """Begin a movement at the joints' present positions. If the arm already touches something there, only coming
+        """Begin a movement from the joints' present positions. If the arm already touches something there, only coming
         closer counts as a hit."""
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """What the arm would hit at the joints' next positions. If it is empty, the arm may go there, and those
-        positions count as the present ones."""
+        """The text about what the arm would hit at its joints' next positions. If it is empty, the arm may move there,
+        and those positions count as the present ones from now on."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -59,7 +59,7 @@ class Space:
 
 
 class Stream:
-    """The joints that move, and when each one gets its next move."""
+    """The joints that are moving, and when each of them gets its next move."""
 
     def __init__(self, settings: Settings, bus: ServoBus, space: Space) -> None:
         self._bus = bus
@@ -67,11 +67,12 @@ class Stream:
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """When the joints of each frame are due, the next first; empty if no servo is moving."""
+        """The time of each group's next frame and the joints in the group, the next frame first. Empty if no servo is
+        moving."""
         self._apart_ns = 0
-        """When the servos' bus is free of the last move."""
+        """When the servos' bus is free again after the last move."""
         self._blocked: dict[Joint, str] = {}
-        """For each frame whose joints don't go on toward the goal, by its first joint: the reason."""
+        """For each frame, by its first joint: why its joints can't go on toward the goal, or empty."""
 
     @property
     def on(self) -> bool:
@@ -83,16 +84,16 @@ class Stream:
 
     @property
     def blocked(self) -> str:
-        """Why a joint does not go on toward the goal; empty if all do."""
+        """Why a joint can't go on toward the goal. Empty if all can."""
         return next(filter(None, self._blocked.values()), "")
 
     @property
     def due_ns(self) -> int:
-        """When the next move is due while a stream is on."""
+        """When the next move is due, while joints are moving."""
         return max(self._schedule[0][0], self._apart_ns)
 
     def begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Give each of these joints a move every period from now on. It starts from its present position."""
+        """From now on, give each of these joints a move every period, starting at its present position."""
         self._space.begin()
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
@@ -102,17 +103,17 @@ class Stream:
             joint.stepped_ns = 0
 
     def end(self) -> None:
-        """Send no further move. Where these joints are must then be read again."""
+        """Send no further moves. The joints' positions must then be read again."""
         for joint in self.joints:
             joint.forget()
         self._schedule = []
 
     def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
-        """Returns (frame, hit): the frame with the moves that are due, towards the followed goal, and a text that names
-        what the arm would hit, or "". If it would hit something, its joints stay where they are."""
+        """Move the joints that are due toward the followed goal. Returns (frame, hit). `frame` has their moves. `hit`
+        names what the arm would hit; these joints then stay where they are. It is empty if the way is free."""
         due_ns, group = self._schedule[0]
         self._apart_ns = now_ns + MOVES_APART_NS
-        # Count from when it was due, so that a late wake-up shifts one frame and not all that follow.
+        # Count from the time when the move was due. Then a late wake-up delays one frame, but not all later ones.
         again_ns = due_ns + self._period_ns
         self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
         before = [joint.position for joint in group]
@@ -126,7 +127,7 @@ class Stream:
         return self._bus.move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
-        """Advance each joint to its position at the end of its next move. A joint without a goal slows down."""
+        """Set each joint to its position at the end of its next move. A joint without a goal slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
             elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
