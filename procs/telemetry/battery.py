@@ -1,5 +1,5 @@
-"""The battery: stops the robot when the voltage is low, detects the charger by steps of the voltage, and makes the
-lines of a log. Pure."""
+"""The battery: stops the robot when the voltage is low, detects the charger from steps in the voltage, and makes the
+lines of the battery log. Pure."""
 
 from __future__ import annotations
 
@@ -10,49 +10,49 @@ from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 
 UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
-"""Indices of records.PLUGGED."""
+"""The states of the charger, as indices of records.PLUGGED."""
 
 LOW_READINGS = 5
-"""How many low readings in a row stop the robot. One comes about each second. A single one proves nothing, because the
-motors pull the voltage down when they start."""
+"""How many low readings in a row stop the robot. About one reading comes per second. A single low one proves nothing,
+because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""How old a reading must be to count for the voltage before a step. The firmware averages, so a step takes about 3 s to
-show fully."""
+"""Only readings older than this count as the voltage before a step. The firmware averages its readings, so a step takes
+about 3 s to show fully."""
 SETTLE_NS = 3_000_000_000
-"""How long motion must have been disabled before steps count, because the load of the motors, and its end, move the
-voltage by up to 170 mV."""
+"""How long motion must have been disabled before steps count. The motors' load moves the voltage by up to 170 mV when
+it begins and when it ends."""
 MOST_READINGS = 64
-"""How many readings are kept. About one comes each second; the limit keeps the work small if a flood of readings
+"""How many readings are kept. About one comes per second. The limit keeps the work small if a flood of readings
 comes."""
 
 HEADER = "unix_s,battery_mv,enabled\n"
-"""First line of every file of the log; `enabled` is 1 while motion is enabled."""
+"""The first line of every log file. `enabled` is 1 while motion is enabled."""
 
 
 class LowBattery:
-    """Counts readings in a row that are below the setting. -1 in the setting turns it off."""
+    """Counts readings in a row that are below the setting battery.stop_mv. If the setting is -1, nothing is stopped."""
 
     def __init__(self, settings: Settings) -> None:
         self._least_mv = settings["battery.stop_mv"]
         self.stops = self._least_mv >= 0
-        """True if the setting is on."""
+        """True if a low battery stops the robot."""
         self._low = 0
 
     def add(self, millivolts: int) -> Cause | None:
-        """Add a reading. Returns the cause of a stop, or None. The cause comes only once, until the voltage has been
-        above the limit again."""
+        """Add a reading. Returns the cause of a stop, or None. The cause is returned again only after the voltage has
+        been above the limit."""
         self._low = self._low + 1 if millivolts < self._least_mv else 0
         return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
 
 
 class Charger:
-    """Detects a step of the voltage while no motor loads it: on the robot +249 mV for plugging in, -226 mV for
-    unplugging."""
+    """Detects the charger from a step in the voltage while the motors put no load on it. On the robot, the step is +249
+    mV for plugging in and -226 mV for unplugging."""
 
     def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
-        """`state`: the state known before a restart."""
+        """`state`: the state before a restart of this process, if it is known."""
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []
         self._disabled_since_ns: int | None = None
@@ -65,7 +65,7 @@ class Charger:
             self._disabled_since_ns = now_ns
 
     def add(self, millivolts: int, t_ns: int) -> bool:
-        """Add a reading. True when it changed `state`."""
+        """Add a reading. Returns True if it has changed `state`."""
         known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS][-MOST_READINGS:]
         self._readings = [*known, (t_ns, millivolts)]
         base = sorted(mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS)
@@ -80,7 +80,7 @@ class Charger:
 
 
 class BatteryLog:
-    """The battery log: one line per period, made at the first reading after it is due."""
+    """Makes the battery log. It has one line per period, made from the first reading after the line is due."""
 
     def __init__(self, settings: Settings) -> None:
         self._period_ns = settings.ns("battery.log_s")
@@ -88,10 +88,12 @@ class BatteryLog:
         self._due_ns: int | None = None
 
     def add(self, millivolts: int, enabled: bool, t_ns: int, unix_s: float) -> tuple[str, str] | None:
-        """Add a reading. Returns (file name, line) when a line is due; there is a file for each day, in UTC."""
+        """Add a reading. Returns (file name, line) if a line is due, otherwise None. There is one file per day, in
+        UTC."""
         if not self._on or (self._due_ns is not None and t_ns < self._due_ns):
             return None
-        # Readings come every 1.05 s. If the next line were due after the late reading, lines would be 10.5 s apart.
+        # Readings come every 1.05 s. If each line were due one period after a late reading, lines would be 10.5 s
+        # apart.
         due_ns = (t_ns if self._due_ns is None else self._due_ns) + self._period_ns
         self._due_ns = due_ns if due_ns > t_ns else t_ns + self._period_ns
         return f"battery-{strftime('%Y-%m-%d', gmtime(unix_s))}.csv", f"{unix_s:.1f},{millivolts},{int(enabled)}\n"

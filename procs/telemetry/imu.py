@@ -1,6 +1,6 @@
-"""The IMU: converts raw samples to m/s2 and rad/s, and finds and follows the gyro's bias. Pure.
+"""The IMU: converts raw samples to m/s2 and rad/s, and finds and tracks the gyro's bias. Pure.
 
-It does not estimate an orientation, only how much of the rates is bias.
+It does not estimate the robot's orientation, only how much of the measured turn rates is bias.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ Vector = tuple[float, float, float]
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
 LONGEST_GAP_NS = 500_000_000
-"""The longest gap between two samples that belong together. The first sample after a longer gap neither moves the bias,
-because it would weigh as much as all the missing samples, nor continues a calibration."""
+"""The longest gap between two samples that belong together. After a longer gap, the first sample does not move the
+bias, because it would weigh as much as all the missing samples. It does not continue a calibration either."""
 LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
 
 class Accelerometer:
-    """Converts raw accelerations from g to m/s2: (raw - offset) x scale x 9.80665."""
+    """Converts raw accelerations from g to m/s2, as (raw - offset) x scale x 9.80665."""
 
     def __init__(self, settings: Settings) -> None:
         self._offsets_g = [settings[f"imu.offset_{axis}_g"] for axis in "xyz"]
         self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
-        """The acceleration in m/s2 for a sample in g."""
+        """The acceleration in m/s2, from a sample in g."""
         (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
         return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
 
@@ -38,30 +38,32 @@ def radps(x_dps: float, y_dps: float, z_dps: float) -> Vector:
 
 
 class GyroBias:
-    """The gyro's bias: it is calibrated at the start, and then follows the readings while the robot rests.
+    """The gyro's bias. It is calibrated at the start, and then follows the readings while the robot is at rest.
 
-    calibrating -> calibrated  still for the whole time: the mean of the samples is the bias
-                -> kept        moved, or told to: a warning, and the bias stays what it was (zero at the first start)
+    calibrating -> calibrated  if the robot was still for the whole time; the mean of the samples is the bias
+                -> kept        if the robot moved or was commanded to; people are warned, and the bias stays as it was
+                               (zero at the first start)
 
-    After the calibration, tracking goes on averaging until the average covers one time constant, and from then on
-    follows with the time constant. In a test with a constant bias, the heading of a robot at rest drifted by at most
-    0.10 degrees in 8 minutes this way, and by 0.17 degrees with the time constant from the start (40 seeds;
+    After the calibration, tracking goes on averaging until the average covers one time constant. From then on, the bias
+    follows with that time constant. In a test with a constant bias, the heading of a robot at rest drifted by at most
+    0.10 degrees in 8 minutes this way. With the time constant from the start it drifted by 0.17 degrees (40 seeds;
     docs/reference/telemetry.md).
     """
 
     def __init__(self, settings: Settings) -> None:
         self._calibration_ns = settings.ns("imu.calibration_s")
         self._std_radps = settings["imu.calibration_std_dps"] * RAD_PER_DEG
-        """The largest standard deviation that counts as still."""
+        """The largest standard deviation at which the robot counts as still."""
         self._rest_ns = settings.ns("imu.tracking_rest_s")
         self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
         self._tau_s = settings["imu.tracking_tau_s"]
         self._averaged_s = self._tau_s
-        """How much time the average covers so far, s; tau_s once the bias follows with the time constant."""
+        """How much time the average covers so far, s. It stays at tau_s once the bias follows with the time
+        constant."""
         self._tracks = settings.on("imu.tracking")
-        """False if the setting turns tracking off, so that the bias never moves after the calibration."""
+        """False if the setting turns tracking off. The bias then never moves after the calibration."""
         self.samples: list[Vector] | None = [] if settings.on("board.imu") else None
-        """The samples of the calibration; None once it has ended."""
+        """The samples of the calibration, or None once it has ended."""
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None
@@ -73,14 +75,14 @@ class GyroBias:
         """True if the last sample moved the bias."""
 
     def inherit(self, bias_radps: Vector) -> None:
-        """Continue with the bias that an earlier run of this process found."""
+        """Continue with the bias that an earlier telemetry process found."""
         self.bias_radps = bias_radps
         self.calibrated = True
         self._averaged_s = self._tau_s
 
     def follow(self, commanded: bool, now_ns: int) -> str:
-        """Follow whether a velocity other than zero is commanded. Returns a line for the journal, or an empty text.
-        While a velocity is commanded, nothing is calibrated, however quiet the gyro is."""
+        """Record whether motion is commanded. While it is, nothing is calibrated, even if the gyro is quiet. Returns a
+        line for the journal, or an empty text."""
         if not commanded:
             if self._resting_since_ns is None:
                 self._resting_since_ns = now_ns
@@ -90,7 +92,7 @@ class GyroBias:
         return self._not_stationary("it was told to drive") if self.samples is not None else ""
 
     def add(self, rate_radps: Vector, t_ns: int) -> str:
-        """Add a raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
+        """Add a raw sample. Returns a line for the journal if a calibration has ended, otherwise an empty text."""
         gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
         if self.samples is not None:
@@ -140,9 +142,10 @@ class GyroBias:
         )
         if self.tracking and 0 < gap_ns <= LONGEST_GAP_NS:
             dt_s = gap_ns * 1e-9
-            # Until the average is as long as the time constant, each reading counts as much as each one before it.
-            # Otherwise 3 s of noise would take three time constants to be forgotten, and cost a heading 20 s x their
-            # error.
+            # Until the average covers the time constant, each reading counts as much as each one before it. Otherwise
+            # it
+            # would take three time constants to forget 3 s of noise, and the heading would be off by 20 s times the
+            # error in those readings.
             self._averaged_s = min(self._averaged_s + dt_s, self._tau_s)
             step = min(dt_s / self._averaged_s, 1.0)
             (x, y, z), (bias_x, bias_y, bias_z) = rate_radps, self.bias_radps

@@ -1,5 +1,5 @@
-"""Telemetry's loop: reads bytes from the port, decodes and publishes them. Buttons and keys become causes for the port
-owner; the pad's sticks and its reset become requests for the gate."""
+"""Telemetry's loop. It reads bytes from the port, decodes them and publishes what they say. Buttons and keys become
+causes for the port owner. The gamepad's sticks and its reset become requests for the gate."""
 
 from __future__ import annotations
 
@@ -41,24 +41,25 @@ from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
 LONGEST_IDLE_NS = 50_000_000
-"""While the robot is at rest the board's bytes wake no process; they are read this often."""
+"""The longest sleep. While the robot is at rest the board's bytes wake no process, so they are read this often."""
 ODOMETRY_NS = 20_000_000
-"""How often odometry is published: as often as the gate decides. Everything else that can wait is published at the same
-time."""
+"""How often odometry is published, which is as often as the gate decides. Everything else that can wait is published at
+the same time."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
-"""How often the gyro's bias is published. 100 ms would become 105 to 110 ms, because it is published only when
-something else wakes the process, and the state must come at 10 Hz or more. The state of the wheels is published as
-often, and also with each reading."""
+"""How often the gyro's bias is published. It is published only when something else wakes the process, so 100 ms would
+become 105 to 110 ms, but the state must come at 10 Hz or faster. The state of the wheels is published as often, and
+also with each reading."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The gate's published state, as far as telemetry uses it: whether the wheels are told to turn, may turn, or are
-    stopped. Before the first state: motion is disabled, the wheels are stopped, nothing is latched."""
+    """The gate's published state, as far as telemetry needs it. It shows whether the wheels are commanded to turn, may
+    turn, or are stopped. Until the gate has published a state, motion counts as disabled, the wheels as stopped, and no
+    stop as latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -67,7 +68,7 @@ class GateState:
         self.enabled = False
         self.latched = False
         self.epoch = 0
-        """The epoch. Every stop raises it, so telemetry notices a latch even if it came and went between two looks."""
+        """The epoch. Every stop raises it, so telemetry notices a stop that was latched and reset between two looks."""
         self.tucks = False
         """True if the arm has announced that it will move to its tuck pose."""
         self.velocity = STANDSTILL
@@ -75,7 +76,7 @@ class GateState:
         self.since_ns = 0
         """When this state began, as far as is known."""
         self.zero_ns = 0
-        """Since when zero is commanded; 0 if another velocity is, or nothing was published yet."""
+        """Since when zero has been commanded. 0 if another velocity is commanded, or if nothing was published yet."""
         self.wheels_rps: tuple[float, ...] = ()
         """The commanded turns per second of each wheel, by wire id."""
 
@@ -84,7 +85,7 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state; True if it is new."""
+        """Read the gate's state. Returns True if it is new."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:
@@ -100,8 +101,8 @@ class GateState:
 
     def _unpack(self, payload: bytes, t_ns: int) -> bool:
         try:
-            # Keep this state until the next one. Its keys are interned strings, and interning and dropping them at each
-            # turn would make Python rebuild its table of them every few minutes.
+            # Keep this object until the next state. Its keys are interned strings. If they were dropped and interned
+            # again at each turn, Python would have to rebuild its table of interned strings every few minutes.
             found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
@@ -127,7 +128,7 @@ class Telemetry:
         self._hearing = self._board.hearing()
         self._settings = settings
         self._servos_told: dict[str, str] = {}
-        """For each part that reports an error, what people were told about it."""
+        """For each part that reports an error, the last text about it that was logged."""
         self._wheel_missing = ""
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
@@ -158,12 +159,12 @@ class Telemetry:
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = self._wheels_ns = self._reading_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
-        """Reports of the board that were not handled yet: the kind, the value, and when each came."""
+        """Reports of the board that are not handled yet, as (kind, value, when it came)."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
         self._scale_noted: set[str] = set()
-        """For which severities people were told that the speeds differ."""
+        """The levels at which a difference of the speeds was logged already."""
         self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
@@ -175,7 +176,7 @@ class Telemetry:
         self._follow_gate(now_ns)
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of telemetry's records, and the bells that it rings."""
+        """Create the writers of telemetry's records, and the bells that it rings."""
         own = context.own
         latest = ("imu", "bias", "odometry", "wheels", "scale", "battery", "health", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
@@ -190,8 +191,8 @@ class Telemetry:
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records and the table of actions for each kind of report, and watch the
-        descriptors that wake telemetry."""
+        """Create the readers of other processes' records and the table of handlers for the kinds of reports, and watch
+        everything that wakes telemetry."""
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
@@ -214,7 +215,7 @@ class Telemetry:
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
-        """Continue with the bias and the pose of the telemetry process before this one."""
+        """Continue with the bias and the pose of the previous telemetry process."""
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:
@@ -225,28 +226,28 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
     def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
-        """Continue from how far the wheels had turned when the process before this one ended. How far they turned until
-        the first report after that stays unknown."""
+        """Continue from how far the wheels had turned when the previous telemetry process ended. How far they turned
+        from then until the first new report stays unknown."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
-            if all(value == value for value in (*speeds, *turns)):  # NaN: not reported
+            if all(value == value for value in (*speeds, *turns)):  # false for NaN, which means not reported
                 self._measured.inherit(turns, speeds, read_ns)
 
     def _known_charger_state(self) -> int:
-        """The charger's state, as the process before this one last saw it."""
+        """The state of the charger, as an earlier telemetry process has saved it."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up. If it brings only samples of the IMU, which are the most frequent, they are published and
-        nothing else is done."""
+        """Handle one wake-up. If it only brings samples of the IMU, which come most often, they are published and the
+        rest of the turn is skipped."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
         for came_ns, data in self._port.poll(now_ns):
             found = self._hearing.feed(data)
-            # Treat samples that came together as spread over the longest possible time.
+            # Samples that came together count as spread over the longest possible time.
             step_ns = self._port.waited_ns // (len(found) or 1)
             self._silence.heard([kind for kind, _ in found], came_ns)
             for at, (kind, said) in enumerate(found, 1 - len(found)):
@@ -263,7 +264,7 @@ class Telemetry:
             self._act(ready, now_ns)
 
     def _act(self, ready: dict[int, int], now_ns: int) -> None:
-        """Do the rest of a turn."""
+        """Do the rest of a turn: handle all reports, and publish everything else."""
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         if self._runaway:
@@ -297,8 +298,8 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """Report a loss of the port to the port owner, which does not read the port itself. Half a frame from before
-        the loss is dropped."""
+        """Report a loss of the port to the port owner, which does not read the port while telemetry runs. When a new
+        port was adopted, forget the old one, including half a frame that was read from it."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
@@ -307,7 +308,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish when the board last sent anything, after everything that follows from it was done."""
+        """Publish when the board last sent anything. Call it after everything else that follows from its bytes was
+        done."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -316,10 +318,10 @@ class Telemetry:
             self._patience_word.set(silence.patience_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the records that are not published with a frame of the board."""
+        """Publish the records that are not published directly when a report of the board comes."""
         if now_ns - self._odometry_ns >= ODOMETRY_NS:
-            # Count from when it was due: with IMU samples 9 ms apart, it would otherwise be published with every third,
-            # at 37 Hz.
+            # Count from the time when it was due. Otherwise, with IMU samples 9 ms apart, odometry would be published
+            # with every third sample, at 37 Hz.
             self._odometry_ns = max(self._odometry_ns + ODOMETRY_NS, now_ns - ODOMETRY_NS // 2)
             self._odometry.advance(now_ns)
             found = self._odometry
@@ -340,7 +342,7 @@ class Telemetry:
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
-        """Hand a note for people to the supervisor, which logs it as an event."""
+        """Send a note for people to the supervisor, which logs it as an event."""
         self._pass_on(Note(kind, text, fields, level, step))
 
     def _pass_on(self, note: Note) -> None:
@@ -353,7 +355,7 @@ class Telemetry:
             self._note("gyro", text, level=level, step=step)
 
     def _report_pad_mode(self) -> None:
-        """Report whether the gamepad's sticks move the wheels, because that is what people want to know about it."""
+        """Log a new mode of the gamepad. It shows whether the gamepad's sticks move the wheels."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
@@ -364,14 +366,14 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """If there is a cause, make the port owner stop before anything else is done. It does not use the stop pipe, to
-        which everyone may write: telemetry has seen itself who pressed, while a text in the pipe is only a claim."""
+        """If there is a cause, make the port owner stop at once. The stop pipe is not used for this, because anyone can
+        write to it, so a text in it is only a claim. Telemetry itself has seen what happened."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
     def _publish_imu(self, sample: interface.Value, t_ns: int) -> interface.Value:
-        """Publish a sample; returns the raw rates and the published values."""
+        """Publish a sample of the IMU. Returns the raw turn rates and the published values."""
         raw_radps = imu.radps(*sample[3:])
         found = (*self._accelerometer.mps2(*sample[:3]), *self._gyro.corrected(raw_radps))
         self._latest["imu"].write(records.IMU.pack(*found), t_ns)
@@ -389,7 +391,7 @@ class Telemetry:
         self._note_gyro(note)
 
     def _publish_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
-        # Read in the opposite order, so that no time is seen with an older verdict, or with none.
+        # Readers read these words in the opposite order. So nobody sees a new time with an older verdict or with none.
         if not judge.judged_ns:
             self._judged_word.set(0)
             self._barrier()
@@ -400,7 +402,7 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Handle the board's report about its wheels. It is better than what an IMU feels."""
+        """Handle the board's report about its wheels. It has priority over what an IMU measures."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)
@@ -415,7 +417,7 @@ class Telemetry:
             self._on_finding(found)
 
     def _on_finding(self, found: Finding) -> None:
-        """Stop for a wheel that has run away; report one that does not turn."""
+        """Stop if a wheel has run away. If a wheel does not turn although it should, only log it."""
         name, sign = self._named[found.wheel]
         told, seen = round(sign * found.told_rps, 2) + 0.0, round(sign * found.seen_rps, 2) + 0.0
         if found.what == RAN_AWAY:
@@ -427,7 +429,7 @@ class Telemetry:
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
-        """Publish what is known about the wheels, with the odometry."""
+        """Publish what is known about the wheels. Called when odometry is published."""
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
@@ -441,7 +443,7 @@ class Telemetry:
         )
 
     def _act_unasked(self, now_ns: int) -> None:
-        """Act on wheels that turn although zero is commanded."""
+        """React if the wheels turn although zero is commanded."""
         gate = self._gate
         act = self._unasked.update(
             self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()
@@ -454,7 +456,7 @@ class Telemetry:
             self._pass_on(act.note)
 
     def _compare_speeds(self, now_ns: int) -> None:
-        """Compare the measured speeds with the commanded ones, and tell people once if they differ."""
+        """Compare the measured speeds with the commanded ones, and log once if they differ."""
         measured, judge = self._measured, self._scale
         turn_radps = self._turn_radps if self._gyro.calibrated else None
         changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
@@ -469,13 +471,13 @@ class Telemetry:
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)
-        if speeds and not self._proving.faded_ns:  # otherwise it has not restarted, but heard nothing
+        if speeds and not self._proving.faded_ns:  # otherwise its watchdog has acted, so it has not restarted
             self._restarts.obeyed(zeros=not any(speeds))
 
     def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample
         if not millivolts:
-            # Without a battery the voltage is neither low nor changed by the charger, so people and programs read None.
+            # The board reports no battery. Its voltage is neither low nor changed by a charger, and readers get None.
             self._latest["battery"].write(records.BATTERY.pack(0, self._charger.state), t_ns)
             return
         self._raise(self._low_battery.add(millivolts))
@@ -539,7 +541,7 @@ class Telemetry:
 
 
 def run(context: Context) -> int:
-    """Run forever; telemetry dies with the supervisor."""
+    """Run telemetry. It does not end by itself; it is killed when the supervisor dies."""
     telemetry = Telemetry(context)
     context.run(telemetry.turn, telemetry.loop, LONGEST_IDLE_NS)
     return 0

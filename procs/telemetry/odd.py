@@ -1,4 +1,4 @@
-"""Odd reports: the notes about impossible values in the board's reports. Pure."""
+"""Odd reports: makes notes about impossible values in the board's reports. Pure."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ BLIND = ", and no low battery stops the robot meanwhile"
 
 
 class OddReports:
-    """Remembers which kinds of values were noted, because an impossible value may come with every report."""
+    """Remembers which kinds of values were noted already, because an impossible value may come with every report."""
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops
         self._noted: set[str] = set()
 
     def text(self, what: str, value: str) -> str:
-        """The text of a note about this value; empty if a value of this kind was noted before."""
+        """The text of a note about this value. Empty if a value of this kind was noted before."""
         if what in self._noted:
             return ""
         self._noted.add(what)

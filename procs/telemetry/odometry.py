@@ -1,8 +1,8 @@
-"""Wheel odometry: computes the pose from the wheels' reports, or from the gate's commands if there are no reports.
-Pure.
+"""Wheel odometry: computes the robot's pose from the wheels' reports, or from the gate's commands if there are no
+reports. Pure.
 
-The wheels' reports say how far the base has rolled, whatever was commanded. If the board reports nothing, only the
-commands can be added up (dead reckoning), and nobody should trust that pose. From the first report that counts, only
+The wheels' reports show how far the base has rolled, no matter what was commanded. If the board reports nothing, the
+commands are added up instead (dead reckoning), and nobody should rely on that pose. After the first usable report, only
 reports are used.
 """
 
@@ -26,47 +26,48 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
-"""If the time between two looks is longer than this, it does not count, because nobody knows what the wheels did in
-it."""
+"""If more time than this passes between two calls, the excess does not count, because nobody knows what the wheels did
+in it."""
 MEAN_NS = 200_000_000
-"""If the board counts, speeds are averaged over this time, because one count in 50 ms may be 0.2 m/s."""
+"""Speeds from a board that counts are averaged over this time, because a single count in 50 ms may mean 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
-"""How exactly a wheel rolls: the standard deviation of its way, m after 1 m; it grows with the root of the distance.
-Rollers slip: on a carpet, a mecanum base goes sideways only 0.765 of the distance that its wheels make."""
+"""How exactly a wheel rolls, by layout: the standard deviation of its distance after 1 m, in m. It grows with the root
+of the distance. Rollers slip: on a carpet, a mecanum base that goes sideways moves only 0.765 of the distance that its
+wheels make."""
 DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 
 class Odometry:
-    """The pose since the start (x, y in m, th in rad from -pi to pi), and the velocity in the robot's own frame."""
+    """The pose since the start (x, y in m; th in rad from -pi to pi), and the velocity in the robot's own frame."""
 
     def __init__(self, settings: Settings) -> None:
-        # The share of the rolled or commanded distance that the base really moves. Used only here, never in what the
-        # motors are sent.
+        # The share of the rolled or commanded distance that the base really moves. It is used only here, and never
+        # affects what the motors are sent.
         self._scales = (settings["odometry.forward_scale"], settings["odometry.sideways_scale"], 1.0)
         self.twist_std = (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"])
-        """m/s for vx and vy, rad/s for wz, to publish with the twist."""
+        """The standard deviations to publish with the velocity: m/s for vx and vy, rad/s for wz."""
         self._last_ns: int | None = None
         self.x_m = self.y_m = self.th_rad = 0.0
         self.vx_mps = self.vy_mps = self.wz_radps = 0.0
         self.source = BY_COMMANDS
-        """BY_ROLLING or BY_COMMANDS."""
+        """What the pose is computed from: BY_ROLLING or BY_COMMANDS."""
         self._covariance = DEAD_RECKONING
-        """The covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. The rounding error is not
+        """The covariance of x, y (m2) and th (rad2), as xx, xy, x th, yy, y th, th th. The rounding error is not
         included."""
         self._rounded = 0.0
-        """The variance of a wheel's turns because they are counted in whole steps. It does not grow."""
+        """The variance of a wheel's turns that comes from counting in whole steps. It does not grow."""
         self._ways: tuple[tuple[float, ...], ...] = ()
-        """The factors by which the turns of each wheel, by wire id, move the base along x, y (m) and th (rad)."""
+        """How far one turn of each wheel, by wire id, moves the base along x, y (m) and th (rad)."""
         base = kinematics.from_settings(settings)
-        with contextlib.suppress(ValueError):  # the base's motion can't be computed from such wheels, so commands count
+        with contextlib.suppress(ValueError):  # the motion can't be computed for this base, so only commands count
             self._ways = tuple(
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         self._errors = self._ways
-        """The same factors for the errors of the wheels' turns."""
+        """The same factors, but for the errors in the wheels' turns."""
         self._bend = 0.0
-        """For a base that is steered and has one driven wheel: how far it turns on its way, rad per m, at the commanded
-        angle."""
+        """How far the base turns per meter at the commanded steering angle, rad/m. Only used for a steered base with
+        one driven wheel."""
         self._bends = isinstance(base, kinematics.Steered) and base.turns_unseen
         if self._bends:
             aside = tuple(each / settings["wheels.wheelbase_m"] for each in self._ways[0])
@@ -75,11 +76,11 @@ class Odometry:
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
         """The variance of a wheel's turns, per turn."""
         self._told_m = self._told_rad = 0.0
-        """How far the robot was commanded to go, m; ways forth and back both count."""
+        """How far the robot was commanded to go (m) and to turn (rad). Forward and backward both add to it."""
         self._turns: tuple[float, ...] = ()
         self._missed = 0.0
         self._recent: deque[tuple[int, float, float, float]] = deque()
-        """For each report within MEAN_NS: when it came, and how far the base had gone in its own frame by then."""
+        """For each report within MEAN_NS, when it came, and how far the base had gone in its own frame by then."""
         self._gone = (0.0, 0.0, 0.0)
 
     @property
@@ -89,7 +90,7 @@ class Odometry:
 
     @property
     def covariance(self) -> Covariance:
-        """The covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th."""
+        """The covariance of x, y (m2) and th (rad2), as xx, xy, x th, yy, y th, th th."""
         xx, xy, xt, yy, yt, tt = self._covariance
         if self._rounded:
             x, y, th = (self._rounded * sum(way * way for way in row) for row in self._ways)
@@ -105,14 +106,14 @@ class Odometry:
         covariance: Covariance = DEAD_RECKONING,
         measured: Measured | None = None,
     ) -> None:
-        """Continue from the pose of an earlier run of this process. `measured`: the wheels, as that run knew them."""
+        """Continue from the pose of an earlier telemetry process. `measured`: the wheels, as that process knew them."""
         self.x_m, self.y_m, self.th_rad = x_m, y_m, remainder(th_rad, 2 * pi)
         self.source, self._covariance = source, covariance
         if measured and source == BY_ROLLING:
             self._turns, self._missed, self._last_ns = measured.turns, measured.missed, measured.t_ns
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
-        """From `t_ns` on the gate commands this velocity (m/s, m/s, rad/s)."""
+        """Record that the gate commands this velocity (m/s, m/s, rad/s) from `t_ns` on."""
         if self._bends and velocity[0]:  # a stop leaves the steering as it is
             self._bend = velocity[2] / velocity[0]
         if self.source == BY_ROLLING:
@@ -123,7 +124,8 @@ class Odometry:
         self.vy_mps = vy * self._scales[1]
 
     def advance(self, now_ns: int) -> None:
-        """Integrate the commanded velocity up to now, along the heading in the middle of the step."""
+        """Add the commanded motion up to now, along the heading at the middle of the step. Does nothing if reports are
+        used."""
         if self.source == BY_ROLLING:
             return
         if self._last_ns is None:
@@ -138,8 +140,8 @@ class Odometry:
         self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
 
     def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
-        """Move the pose by this way, along the heading in the middle of the move. Returns the cosine and the sine of
-        that heading."""
+        """Move the pose by this distance and turn, along the heading at the middle of the move. Returns the cosine and
+        the sine of that heading."""
         middle_rad = self.th_rad + turned_rad / 2
         ahead, aside = cos(middle_rad), sin(middle_rad)
         self.x_m += ahead_m * ahead - aside_m * aside
@@ -151,14 +153,14 @@ class Odometry:
         """Move the pose by what the wheels have turned since the last report. Call it for each new report."""
         turns, missed, t_ns = measured.turns, measured.missed, measured.t_ns
         if not turns or len(turns) != len(self._ways[0] if self._ways else ()):
-            return  # a different number of wheels than this robot has
+            return  # the report has a different number of wheels than this robot
         if self.source == BY_COMMANDS:
             self.source = BY_ROLLING
-            # The distance commanded until now may be right or wrong.
+            # It is not known how much of the distance commanded until now was really driven.
             way, turn = self._told_m**2, self._told_rad**2
             self._covariance = (way, 0.0, 0.0, way, 0.0, turn)
             self._last_ns = t_ns
-        # The distance lies between two counts, and each is rounded by up to a step.
+        # The distance is the difference of two counts, and each count is rounded by up to one step.
         self._rounded = measured.step**2 / 6
         before, self._turns = self._turns, turns
         lost, self._missed = missed - self._missed, missed
@@ -168,14 +170,13 @@ class Odometry:
         self._last_ns = max(t_ns, self._last_ns or 0)
 
     def _go(self, steps: Sequence[float], lost: float) -> None:
-        """Move the pose by `steps`, the turns of each wheel. `lost`: turns that each wheel may have made without being
-        seen."""
+        """Move the pose by `steps`, the turns of each wheel. `lost`: how many turns each wheel may have made unseen."""
         dx, dy, dth = (sum(way * step for way, step in zip(row, steps, strict=True)) for row in self._ways)
         dth += dx * self._bend
         self._gone = (self._gone[0] + dx, self._gone[1] + dy, self._gone[2] + dth)
         if not lost and not any(steps):
             return
-        # The chord of the arc.
+        # The straight distance (the chord of the arc) is shorter than the driven one.
         share = sin(dth / 2) / (dth / 2) if dth else 1.0
         dx, dy = dx * share, dy * share
         ahead, aside = self._move(dx, dy, dth)
@@ -183,9 +184,10 @@ class Odometry:
         self._grow(ahead, aside, dx, dy, variances)
 
     def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
-        """Grow the covariance after a move. The way is in the robot's frame; `variances`: of the wheels' turns."""
+        """Increase the covariance after a move of (`dx`, `dy`) in the robot's frame. `variances`: those of the wheels'
+        turns."""
         xs, ys, ths = self._errors
-        # A heading that is wrong by 1 rad turns the whole distance to the side.
+        # If the heading is wrong by 1 rad, the whole distance is turned to the side.
         out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside
         xx, xy, xt, yy, yt, tt = self._covariance
         xx, xy, yy = (
@@ -195,7 +197,7 @@ class Odometry:
         )
         xt, yt = xt + out_x * tt, yt + out_y * tt
         for x, y, th, variance in zip(xs, ys, ths, variances, strict=True):
-            # The heading in the middle has half of the error of the turn.
+            # The heading at the middle of the move has half of the turn's error.
             gx = x * ahead - y * aside + out_x * th / 2
             gy = x * aside + y * ahead + out_y * th / 2
             xx, xy, xt = xx + gx * gx * variance, xy + gx * gy * variance, xt + gx * th * variance

@@ -1,9 +1,9 @@
-"""The gamepad: its buttons stop the robot, its sticks drive in the drive mode, and MODE changes the mode and, held for
-long, requests a reset. Also the buzzer's sounds. Pure.
+"""The gamepad. Its buttons stop the robot, and its sticks drive it in the drive mode. The button MODE changes the mode
+and, if it is held for long, requests a reset. This file also has the buzzer's sounds. Pure.
 
-locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
-any --any latch, any other button--> locked     and locked it stays while latched
-any --a pushed stick, frames all the same--> locked     a receiver may repeat the last frame of a pad that is away
+locked --MODE--> drive --MODE--> locked ...     two changes are at least the lockout time apart
+any --a latched stop, any other button--> locked     the mode stays locked while the stop is latched
+any --a pushed stick, but all frames are the same--> locked a receiver may repeat the last frame of a pad that is gone
 """
 
 from __future__ import annotations
@@ -15,52 +15,54 @@ from failstop.policy.kinematics import Velocity
 from failstop.policy.settings import Settings
 
 LOCKED, DRIVING, JOINT = range(3)
-"""Indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right stick turns it."""
+"""The modes, as indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right one turns
+it."""
 CHOOSES = 0.7
-"""How far the stick must be pushed to choose a joint, from 0 to 1. It may choose again once it is back within half of
-that."""
+"""How far the left stick must be pushed to choose the next joint, from 0 to 1. It must come back to less than half of
+this before it can choose again."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
-"""About 20 frames come per second. If none has come for this long, no button counts as held."""
+"""If no frame has come for this long, no button counts as held. Normally about 20 frames come per second."""
 HOLD_ENDS = 3
-"""After this many frames without MODE a hold has ended. Fewer may be missed frames."""
+"""A hold of MODE ends after this many frames without it. If fewer are without it, they may have been received
+wrongly."""
 RAW_FRAMES = 6
-"""How many raw frames are kept for the log, to show what the pad sent just before a stop."""
+"""How many raw frames are kept for the log. They show what the gamepad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
 
 PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
-"""Events of the board's keys that mean that a finger is or was on the key. Releases (0x08, 0x10) don't count."""
+"""The events of the board's keys which mean that a finger is or was on a key. Releases (0x08, 0x10) don't count."""
 
 Sound = tuple[int, int, int, int]
-"""A sound: frequency in Hz, length of a beep in ms, pause in ms, number of beeps."""
+"""A sound: the frequency in Hz, the length of each beep in ms, the pause after it in ms, and the number of beeps."""
 OFF_MS = 100
-"""The pause between two beeps, and after the last, ms. With a pause of 0 a buzzer sounded forever."""
+"""The pause after each beep, ms. With a pause of 0 a buzzer sounded forever."""
 LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
-"""Two long low beeps."""
+"""Two long low beeps: a stop was latched."""
 MODE_SOUNDS = ((1500, 100, OFF_MS, 1), (2500, 100, OFF_MS, 2), (2500, 100, OFF_MS, 3))
-"""The sound of each pad mode. One short beep: locked; two short high ones: drive; three: joint."""
+"""The sound for each mode of the gamepad. One short beep means locked, two short high beeps drive, and three joint."""
 TUCK_SOUND = (2000, 50, OFF_MS, 4)
 """Four short beeps: the arm is about to move by itself."""
 
 
 class PadNews(Data):
-    """What follows from one frame of the gamepad."""
+    """What one frame of the gamepad leads to."""
 
     cause: Cause | None
     command: Velocity | None
     """The velocity to command (m/s, m/s, rad/s), or None."""
     reset: bool
     arm: tuple[int, float] | None
-    """The joint to turn, and at what share of its speed, or None."""
+    """The joint to turn and the share of its speed, or None."""
     frozen: bool
-    """True if this frame has locked the gamepad, because a stick is pushed and all frames of the last pad.frozen_s were
-    the same."""
+    """True if this frame has locked the gamepad, because a stick is pushed and all frames of the last pad.frozen_s have
+    been the same."""
 
 
 class Pad:
-    """The gamepad's state from frame to frame. If it falls silent in drive mode, the command's timeout stops the
-    wheels."""
+    """The gamepad's state from frame to frame. If the gamepad falls silent in the drive mode, the timeout of its
+    commands stops the wheels."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -69,7 +71,7 @@ class Pad:
         self._reset_hold_ns = settings.ns("pad.reset_hold_s")
         self._frozen_ns = settings.ns("pad.frozen_s")
         self.frozen = f"no byte has changed for {settings['pad.frozen_s']:g} s"
-        """The text that says why a frozen gamepad is locked."""
+        """The text that explains why a frozen gamepad was locked."""
         self._sample: tuple[int, ...] = ()
         self._sample_ns = 0
         """The newest frame that differs from the one before it, and when it came."""
@@ -78,7 +80,7 @@ class Pad:
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0
-        """The buttons of the last frame, so that a button that is held causes only one request."""
+        """The buttons of the last frame, so that a button which is held causes only one stop."""
         self._last_ns: int | None = None
         self._changed_ns: int | None = None
         self._latched_ns: int | None = None
@@ -87,24 +89,24 @@ class Pad:
         self._hold_spent = False
         self._chose = False
         self.joint = 0
-        """The joint that is chosen, by its place in the settings."""
+        """The chosen joint, by its place in the settings."""
         self.mode = LOCKED
 
     def follow(self, latched: bool, now_ns: int) -> None:
-        """Follow whether a stop is latched, whatever its cause. A latch switches the pad to locked."""
+        """Record whether a stop is latched, for any cause. A latched stop switches the gamepad to locked."""
         if not latched:
             self._latched_ns = None
         elif self._latched_ns is None:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """There was a stop, perhaps one that was latched and reset between two looks. Whatever is held now is from
-        before it, so it does not count."""
+        """Record that there was a stop. It may have been latched and reset so quickly that follow() never saw it. If a
+        button is held at this moment, the time before the stop does not count towards a reset."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
     def add(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
-        """Add one frame: (buttons, hat, lx, ly, rx, ry), and its raw bytes."""
+        """Add one frame. `sample`: (buttons, hat, lx, ly, rx, ry). `raw`: its raw bytes."""
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
@@ -114,7 +116,7 @@ class Pad:
             self.mode = LOCKED
         self._update_hold(buttons, t_ns)
         same_ns = self._same_ns(sample, t_ns)
-        # Longer than any hold that somebody means as a reset.
+        # Nobody means a hold as a reset if all frames have been the same for longer than this.
         self._hold_spent |= same_ns >= self._frozen_ns + self._reset_hold_ns
         locks = same_ns >= self._frozen_ns and self.mode != LOCKED and any(map(self._axis, (lx, ly, rx)))
         if locks:
@@ -122,19 +124,20 @@ class Pad:
         if self.mode == DRIVING:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
-            # Locked by MODE: stop now, not when the command times out. A cause stops by itself.
+            # If MODE has just locked the gamepad, stop now and not when the command times out. A cause stops anyway.
             command = STANDSTILL if was == DRIVING and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm, locks)
 
     def _same_ns(self, sample: tuple[int, ...], t_ns: int) -> int:
-        """For how long all frames have been the same, ns."""
+        """How long all frames have been the same, ns."""
         if sample != self._sample:
             self._sample, self._sample_ns = sample, t_ns
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """The cause if a button stops the robot. One frame is enough, because a short tap lasts only one."""
+        """The cause of a stop if a button was pressed, or None. One frame is enough, because a short tap lasts only
+        one."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
         return causes.BUTTON(pressed) if pressed else None
@@ -147,18 +150,18 @@ class Pad:
         return self.joint, self._axis(-rx)
 
     def recent(self) -> str:
-        """The last raw frames in hex, the oldest first, each with its age in ms."""
+        """The last raw frames in hex, oldest first. Each has its age in ms, counted back from the newest one."""
         newest_ns = self._raw[-1][0] if self._raw else 0
         return ", ".join(f"{raw.hex()} (-{(newest_ns - t_ns) // 1_000_000} ms)" for t_ns, raw in self._raw)
 
     def _notice_silence(self, t_ns: int) -> None:
         if self._last_ns is not None and t_ns - self._last_ns > SILENCE_NS:
-            self._buttons = 0  # a button that was held then must not hide the next tap
+            self._buttons = 0  # a button that was held before the silence must not hide the next tap
             self._hold_ns = None
         self._last_ns = t_ns
 
     def _update_hold(self, buttons: int, t_ns: int) -> None:
-        """Follow MODE: a hold begins, goes on or ends. The mode changes when a hold begins."""
+        """Follow whether MODE is held. The mode changes when a hold begins."""
         if buttons & self._mode_button:
             self._hold_frames_missing = 0
             if self._hold_ns is None:
@@ -179,9 +182,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """True if MODE was held long enough, and a stop was latched during all that time: a hold that began before the
-        latch resets nothing, because the person could not know about the stop. It is true once per hold, and only if no
-        other button is pressed."""
+        """True, once per hold, if MODE was held long enough and a stop was latched during all that time. If the hold
+        began before the stop, only the time since the stop counts, because the person could not know about the stop
+        before. No other button may be pressed."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
@@ -192,23 +195,24 @@ class Pad:
         return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
 
     def _axis(self, raw: int) -> float:
-        """The position of an axis from -1 to 1 (raw values go down to -128); 0 within the dead zone."""
+        """The position of an axis, from -1 to 1, or 0 within the dead zone. Raw values go down to -128."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
 
 
 class Tones:
-    """The buzzer's tones. It remembers what it last saw, so that a tone sounds only on a change. If the setting is off,
-    none sounds."""
+    """Chooses the buzzer's sounds. It remembers what it last saw, so that a sound is made only when something changes.
+    If the setting is off, it makes no sound."""
 
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """The arguments of the last call. A stop that is already latched at the start makes no sound, because it was
+        """The arguments of the last call. At first a stop counts as latched, because a stop that is already latched was
         announced when it happened."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
-        """The sound to make now, or None. A latch also locks the gamepad, but then only the latch's tone sounds."""
+        """The sound to make now, or None. A latched stop also locks the gamepad, but then only the sound of the stop is
+        made."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
             return None

@@ -1,4 +1,4 @@
-"""Port: reads the board's bytes from a duplicate of the port's descriptor, which telemetry never writes to."""
+"""Port: reads the board's bytes from a duplicate of the port's descriptor. Telemetry never writes to the port."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from failstop.procs.handover import Control, HeldPort
 from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
-"""Bytes that may have waited for this long count as old: an old answer does not answer a newer ping
-(procs/schedule.py), and an old position of a stick commands nothing."""
+"""If bytes may have waited for this long, they count as old. An old answer must not be taken for the answer to a newer
+ping (procs/schedule.py), and an old position of a stick must not command motion."""
 
 PROVED_NS = 3_000_000_000
 """After this time nothing more is learned about a stop (supervisor/proof.py)."""
 
 
 class HeardPort:
-    """Reads the port's bytes, each with the time at which it had come at the latest."""
+    """Reads the port's bytes. All bytes come with the latest time at which they can have arrived."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
-        """When no bytes were last waiting at the port."""
+        """When the port was last found without waiting bytes."""
         self._epoch = self._proved_ns = self.waited_ns = 0
-        """`waited_ns`: how long the last bytes may have waited."""
+        """`waited_ns`: how long the last bytes may have waited before they were read."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
@@ -31,8 +31,8 @@ class HeardPort:
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
-        """Replace the descriptor; -1: none. Bytes that already wait at the new one are dropped, because nobody knows
-        how old they are."""
+        """Replace the descriptor (-1 means no port). Bytes that already wait at the new port are dropped, because
+        nobody knows how old they are."""
         if self.fd >= 0:
             port.close_port(self.fd)
         self.fd, self.lost = fd, False
@@ -40,14 +40,14 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """While a client is present or a stop is still to be proved, let the port's bytes wake telemetry; otherwise
-        only its end."""
+        """Let new bytes at the port wake telemetry while `busy`, or while a stop may still be proved. Otherwise only
+        the port's loss wakes it. `epoch`: the current epoch, which each stop raises."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def poll(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """The bytes that have come since the last call, and when. Call it once per turn."""
+        """The bytes that have come since the last call, as (when they came, the bytes). Call it once per turn."""
         waited_ns = now_ns - self._empty_ns
         came_ns, self.waited_ns = (now_ns, waited_ns) if waited_ns < LATE_NS else (self._empty_ns, 0)
         found = []

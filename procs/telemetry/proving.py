@@ -1,5 +1,5 @@
-"""Proving: publishes what the board's answers and reports prove: for the supervisor, up to when the board has handled
-everything that was written; for people, whether it obeys zero although motion is commanded."""
+"""Proving: publishes what the board's answers and reports prove. The supervisor learns up to which time the board has
+handled everything that was written, and since when the board obeys zero although motion is commanded."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
 
 FORGOTTEN_NS = 500_000_000
-"""A report of the obeyed command that is older than this says nothing about now."""
+"""A report of the obeyed command that is older than this says nothing about the present."""
 PAUSE_NS = 100_000_000
-"""After a pause in the reports that is longer than this, and longer than two reports take, reports count from the
-beginning again, because an adapter that stalls delivers old reports afterwards."""
+"""If the reports pause for longer than this, and longer than two reports take, the count of reports begins again. The
+reason is that a stalled adapter delivers old reports after the pause."""
 
 
 class Proving:
-    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It goes on from the answers that an
-    earlier process knew."""
+    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It continues after the answers that an
+    earlier telemetry process has handled."""
 
     def __init__(self, context: Context) -> None:
         own = context.own
@@ -40,11 +40,12 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """When the last command arrived that the board's own watchdog has ended since then; 0 if there is none."""
+        """When the last motion command was written that the board's own watchdog has ended since then. 0 if there is
+        none."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """An answer came. It belongs to one of these pings."""
+        """Record an answer, which belongs to one of the pings in `indices`."""
         before_ns = self._handled.asked_ns
         self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
@@ -52,13 +53,13 @@ class Proving:
             self._bell.ring()
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
-        """The board has reported the command that it obeys. `moves`: motion is commanded."""
+        """Record that the board has reported which command it obeys. `moves`: True if motion is commanded."""
         self._record(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         told_ns = self._told_word.get()
         written = max(word.get() for word in self._stopped) < told_ns <= came_ns
         zeros = bool(speeds) and not any(speeds)  # NaN is not zero, and no speeds are no report
-        # What it heard before this motion says nothing of how it heeds this one.
+        # If the watchdog ended an earlier motion, that says nothing about how the board obeys this motion.
         faded_ns = self.faded_ns if self.faded_ns >= told_ns else 0
         since_ns = faded_ns or (0 if paused else self._unheeded_ns)
         self._publish_unheeded((since_ns or came_ns) if moves and written and zeros else 0)

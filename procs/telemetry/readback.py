@@ -1,7 +1,7 @@
-"""Read-back: judges by the board's own reports whether the wheels are stopped. Pure.
+"""Read-back: judges from the board's own reports whether the wheels are still. Pure.
 
-The wheels are stopped when two reports in a row say so, because the speeds are zero or the odometers have not changed.
-This works without an IMU, and is better than an IMU.
+The wheels count as still when two reports in a row say so, because the speeds are zero or the odometers have not
+changed. This needs no IMU, and is more reliable than an IMU.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from math import isfinite
 AT_REST = 1e-6
 """A speed below this counts as zero, in any unit."""
 READS_APART_NS = 40_000_000
-"""If two readings of an odometer are closer together than this, they say little about a slow wheel."""
+"""Two readings of an odometer that are closer together than this say little about a slow wheel."""
 
 
 class ReadBack:
-    """The verdict by the board's reports. `still_ns`: since when the wheels are still (0: they turn); `judged_ns`: the
-    last report (0: none yet)."""
+    """The verdict from the board's reports. `still_ns`: since when the wheels have been still, or 0 if they turn.
+    `judged_ns`: the time of the last judged report, or 0 if there is none."""
 
     def __init__(self) -> None:
         self.still_ns = self.judged_ns = 0
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report. True if it was judged, or if the verdict before it no longer counts. A NaN counts as unknown,
-        because as a number it would be neither motion nor rest."""
+        """Add a report. Returns True if it was judged, or if it makes the previous verdict invalid. A NaN makes a
+        report unknown, because it shows neither motion nor rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0
@@ -38,7 +38,7 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """True if the report says that the wheels are still; None if that is not known yet."""
+        """True if the report says that the wheels are still, False if they turn, None if that is not known yet."""
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

@@ -1,13 +1,15 @@
-"""Restart: finds out from the board's bytes whether it has restarted. Pure.
+"""Restart: detects from the board's bytes that the board has restarted. Pure.
 
-A board that restarts has forgotten its speed and its settings, and the next motion frame would drive it on. Most
-restarts are short, because the program starts again right after a dip of the supply. There are four signs of a restart:
+A board that restarts has forgotten its speed and its settings, and the next motion frame would set it moving again.
+Most restarts are short, because the board's program starts again right after its supply has dipped. There are four
+signs of a restart:
 
-- text that it prints only while it starts
-- its counters fall to zero, from further away than its wheels can turn meanwhile
-- it obeys zero although the last thing it was told was to drive, and it did
-- its reports paused for longer than they ever do. An adapter that stalls brings the missing ones afterwards, all at
-  once: they are counted before anything is concluded
+- The board sends a text that it prints only when it starts.
+- Its counters fall to zero, from further away than its wheels can turn in that time.
+- It obeys zero although the newest command is motion, which it obeyed before.
+- Its reports pause for longer than they normally do. An adapter that stalls delivers the missing reports afterwards,
+all
+  at once. So the reports are counted before the pause is taken for a restart.
 """
 
 from __future__ import annotations
@@ -16,17 +18,17 @@ from collections.abc import Sequence
 
 MS = 1_000_000
 KEPT_NS = 40 * MS
-"""How long to wait for reports that an adapter has held back."""
+"""How long to wait for reports that an adapter may have held back."""
 LEARN_NS = 400 * MS
-"""How long it takes to learn how often the board reports."""
+"""How long it takes to measure how often the board reports."""
 MISSING = 0.6
-"""The share of a pause's reports that must be missing for good."""
+"""A pause counts as a restart only if at least this share of its reports is missing for good."""
 FASTER = 1.5
-"""By this factor a wheel may turn faster than it was ever seen to turn."""
+"""A wheel may turn this many times as fast as the fastest turning that was seen."""
 FADES = 0.98
-"""By this factor the fastest turning that was seen counts less with each report."""
+"""The fastest turning that was seen is multiplied by this at each report, so that it is forgotten with time."""
 LEAST_FALL = 10.0
-"""A fall of a counter by less than this, in its own unit, is an ordinary move backward."""
+"""If a counter falls by less than this, in its own unit, that is an ordinary move backward."""
 CLOSE = 2.0
 
 COUNTERS = "its counters fell to zero"
@@ -35,32 +37,33 @@ OBEYS_ZERO = "it obeys zero and was told to drive"
 
 class RestartWatch:
     """Looks for signs of a restart. Each method returns the sign that it found, in words, or an empty text. After a
-    sign it forgets everything, so that one restart is found only once."""
+    sign it forgets everything, so each restart is found only once."""
 
     def __init__(self, silent_ns: int) -> None:
-        """`silent_ns`: a pause in the reports that only a restart explains; 0: the board reports nothing."""
+        """`silent_ns`: a pause in the reports of this length means a restart. 0 if the board sends no regular
+        reports."""
         self._silent_ns = silent_ns
         self.forget()
 
     def forget(self) -> None:
-        """Begin again, as after another port was opened."""
+        """Begin again, for example after another port was opened."""
         self._last_ns = self._other_ns = 0
         """When the last regular report came, and when the last other sample came."""
         self._learned = (0, 0)
-        """Since when reports are counted, and how many have come."""
+        """Since when the reports have been counted, and how many have come since then."""
         self._period_ns = 0.0
-        """The time between two reports; 0: not known yet."""
+        """The time between two reports, or 0 if it is not known yet."""
         self._pause: tuple[int, int] | None = None
-        """The last pause that is over: when it began and when it ended."""
+        """When the last pause began and when it ended. None if there was none, or if it was judged already."""
         self._came = 0
         self._continues = False
-        """True if the counters went on from their last values after the pause."""
+        """True if the counters continued from their last values after the pause."""
         self._at: tuple[int, Sequence[float]] | None = None
         self._rate = 0.0
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Record how many regular reports and how many other samples were read now."""
+        """Record how many regular reports and how many other samples were just read."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -71,7 +74,7 @@ class RestartWatch:
             self._other_ns = now_ns if others else self._other_ns
             return ""
         last_ns, self._last_ns = self._last_ns, now_ns
-        # A board that says other things in the meantime is running, and only its reports have stopped.
+        # If the board sends other things during the pause, it is running, and only its reports have stopped.
         alone = self._other_ns - last_ns < self._silent_ns
         if now_ns - last_ns < self._silent_ns:
             self._learn(reports, now_ns)
@@ -93,7 +96,7 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Judge whether the reports of a pause are missing for good."""
+        """Judge whether the missing reports of a pause are missing for good."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)
@@ -102,7 +105,7 @@ class RestartWatch:
         return self._found(f"no report came for {(ended_ns - begun_ns) // MS} ms")
 
     def counted(self, positions: Sequence[float], t_ns: int) -> str:
-        """Look at a report of the board's counters."""
+        """Check a report of the board's counters."""
         if not positions:
             return ""
         before, self._at = self._at, (t_ns, positions)
@@ -118,14 +121,14 @@ class RestartWatch:
         return ""
 
     def obeyed(self, *, zeros: bool, told_ns: int) -> str:
-        """Look at a report of the command that the board obeys. `told_ns`: since when motion is commanded; 0 if the
-        last write was zero or a stop."""
+        """Check a report of the command that the board obeys. `zeros`: True if the command is zero. `told_ns`: since
+        when motion has been commanded, or 0 if a zero or a stop was written last."""
         drove, self._drove = self._drove, 0 if zeros else told_ns
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Look at a sign of a start from the board itself, such as a text that it prints then. It counts only after the
-        first report, because opening the port restarts some boards."""
+        """Handle a sign of a start that the board itself sends, such as a text that it prints when it starts. It counts
+        only after the first report, because some boards restart when their port is opened."""
         return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

@@ -1,4 +1,4 @@
-"""Restarts: telemetry's reaction to a restart of the board, which restart.py detects."""
+"""Restarts: how telemetry reacts if the board has restarted. restart.py detects the restarts."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from failstop.procs.telemetry.restart import RestartWatch
 
 
 class Restarts:
-    """Counts the board's restarts for the port owner, which then sends the board its settings again. If the board
-    restarts while motion is enabled, the robot is stopped, because the next motion frame would drive it on."""
+    """Counts the board's restarts. When the count changes, the port owner sends the board its settings again. If the
+    board restarts while motion is enabled, the robot is stopped, because the next motion frame would set it moving
+    again."""
 
     def __init__(
         self, context: Context, enabled: Callable[[], bool], note: Callable[..., None], stop: Callable[[Cause], None]
     ) -> None:
-        """`enabled` returns whether motion is enabled, `note` logs an event, `stop` makes the port owner stop."""
+        """`enabled`: returns True while motion is enabled. `note`: logs an event. `stop`: makes the port owner stop."""
         board = context.board
         self._watch = RestartWatch(board.silent_ns)
         self._regular = interface.HEARD_IMU if board.observed_by == interface.BY_IMU else interface.HEARD_WHEELS
@@ -29,20 +30,20 @@ class Restarts:
         self.forget = self._watch.forget
 
     def heard(self, kinds: list[int], now_ns: int) -> None:
-        """Look at the kinds of all samples that were read now."""
+        """Look for signs of a restart in the kinds of all samples that were just read."""
         reports = kinds.count(self._regular)
         self._act(self._watch.heard(reports, len(kinds) - reports, now_ns))
 
     def counted(self, positions: tuple[float, ...], t_ns: int) -> None:
-        """Look at a report of the board's counters."""
+        """Look for a sign of a restart in a report of the board's counters."""
         self._act(self._watch.counted(positions, t_ns))
 
     def obeyed(self, *, zeros: bool) -> None:
-        """Look at a report of the command that the board obeys."""
+        """Look for a sign of a restart in a report of the command that the board obeys."""
         self._act(self._watch.obeyed(zeros=zeros, told_ns=self._told_word.get()))
 
     def started(self, said: interface.Value, _t_ns: int) -> None:
-        """Look at a text that the board prints only while it starts."""
+        """Handle a text that the board prints only when it starts."""
         self._act(self._watch.started(said[0]))
 
     def _act(self, sign: str) -> None:

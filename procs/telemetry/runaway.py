@@ -1,9 +1,9 @@
-"""Runaway: find a wheel that does not follow its commands, by the board's reports. Pure.
+"""Runaway: detects from the board's reports that a wheel does not follow its commands. Pure.
 
-A report is compared with all speeds that were commanded in the time that it may describe. A wheel has run away if it
-turns faster than those speeds, or the other way, for longer than it needs to run down, without slowing down. A wheel
-that stands still although it is commanded to turn is only a warning. procs/telemetry/runaway.md explains the
-thresholds.
+Each report is compared with all speeds that were commanded during the time that the report may describe. A wheel has
+run away if it turns faster than these speeds, or in the other direction, for longer than it needs to run down, without
+slowing down. If a wheel stands still although it is commanded to turn, that is only reported as a warning.
+procs/telemetry/runaway.md explains the thresholds.
 """
 
 from __future__ import annotations
@@ -25,68 +25,69 @@ if TYPE_CHECKING:
 RAN_AWAY, STANDS = "ran away", "stands"
 
 LAG_NS = 300_000_000
-"""For this long after a command the wheels may still do what they were commanded before. It covers the way to the
-board, its controller, and a late report."""
+"""For this long after a new command, the wheels may still do what was commanded before. It covers the time until the
+command reaches the board, the delay of the board's controller, and a late report."""
 BEYOND_NS = 200_000_000
-"""A wheel counts only after it has been faster than commanded, or turning the other way, for at least this long and in
-LEAST_REPORTS reports."""
+"""A wheel can count as run away only if it was faster than commanded, or turned in the other direction, for at least
+this long and in at least LEAST_REPORTS reports."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
-"""If nobody has looked at the commands for longer than this, they are not known, so nobody knows what the wheels should
+"""If follow() was not called for longer than this, the commands are not known, so nobody can say what the wheels should
 do."""
 SLOWS = 0.92
-"""If a wheel turns at less than this share of its earlier speed in the second half of the time, compared with the first
-half, it is slowing down: it rolls out, and has not run away."""
+"""The time is divided into two halves. If a wheel turns in the second half at less than this share of its speed in the
+first half, it is slowing down. It then only rolls out, and has not run away."""
 HELD_BACK_NS = 20_000_000
-"""A serial adapter may deliver a report this much too late (its latency timer). If the report is a position, that looks
-like speed."""
+"""A serial adapter may deliver a report late by this much (its latency timer). If the report is a position, the delay
+looks like a higher speed."""
 STANDS_NS = 3_000_000_000
-"""A wheel that does not turn for this long, although motion is commanded, is stalled or unplugged."""
+"""A wheel that does not turn for this long although motion is commanded is stalled or unplugged."""
 STANDS_SHARE = 0.1
 STANDS_MPS = 0.02
-"""If the commanded speed is lower than this, it may be too low to move the wheel."""
+"""A commanded speed below this may be too low to move the wheel."""
 SELDOM_NS = 1_000_000_000
-"""A board that reports less often than this, or does not say how often, is not judged here."""
+"""A board that reports less often than this, or whose description does not say how often, is not judged here."""
 
 
 class Margins(Data):
-    """How much a wheel's speed may differ from the commanded one."""
+    """By how much a wheel's speed may differ from the commanded one."""
 
     share: float
-    """A share of the commanded speed."""
+    """A share of the commanded speed, by which the wheel may be faster."""
     rim_mps: float
     """In addition, this speed at the wheel's rim, in either direction."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
-"""For a board that measures the wheel speeds and controls them."""
+"""The margins for a board that measures and controls the wheels' speeds."""
 SETS_VOLTAGE = Margins(0.75, 0.1)
-"""For a board that sets a voltage. Its wheels turn faster downhill and with a full battery, and roll back on a
-slope."""
+"""The margins for a board that sets a voltage. Its wheels turn faster downhill and with a full battery, and roll back
+on a slope."""
 
 
 class Limits(Data):
-    """The thresholds of one robot."""
+    """The thresholds for one robot."""
 
     every_ns: int
     """The longest time between two reports."""
     share: float
     rps: float
-    """A speed below this counts as zero, turns per second; it includes the rounding of a command."""
+    """A speed below this counts as zero, turns per second. It includes the rounding of commands."""
     counts: float
-    """Counts per turn; 0: the board reports speeds."""
+    """Counts per turn of a wheel, or 0 if the board reports speeds."""
     braking_rps2: float
     """How fast a wheel slows down, at least."""
     told_rps: float
-    """If the commanded speed is lower than this, the wheel may stand still."""
+    """If the commanded speed is below this, turns per second, the wheel may stand still."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """How long a wheel may turn faster than commanded, ns: the time to run down from `told_rps`, and a margin."""
+        """How long a wheel may turn faster than commanded, ns. This is the time to run down from `told_rps`, plus a
+        margin."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
 def limits_of(settings: Settings, board: Board) -> Limits | None:
-    """The thresholds for this robot; None if its board does not report well enough to be judged."""
+    """The thresholds for this robot. None if its board does not report often enough to be judged."""
     reports, rim_m = board.reports, pi * settings["wheels.diameter_m"]
     if not 0 < reports.every_ns < SELDOM_NS or not (reports.speed_per_rps or reports.position_per_turn):
         return None
@@ -102,18 +103,20 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
 
 
 class Finding(Data):
-    """A wheel that does not turn as commanded. Both speeds are in turns per second, in the direction of the wire."""
+    """A wheel that does not turn as commanded. Both speeds are in turns per second, with the sign that the board
+    uses."""
 
     what: str
     """RAN_AWAY or STANDS."""
     wheel: int
-    """Its id on the wire."""
+    """The wheel's id on the wire."""
     told_rps: float
     seen_rps: float
 
 
 class _Wheel:
-    """One wheel: since when it turns faster than commanded or the other way, and since when it stands still."""
+    """One wheel: since when it has turned faster than commanded or in the other direction, and since when it has stood
+    still."""
 
     __slots__ = (
         "before_rps",
@@ -133,31 +136,33 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """For the first half of the time, then for the second half: the sum of speed times weight, and the sum of the
-        weights."""
+        """The sum of speed times weight and the sum of the weights, for the first half of the time and then for the
+        second half."""
         self.stand_noted = False
-        """True if somebody was told that the wheel stands still."""
+        """True if it was already reported that the wheel stands still."""
 
     def within(self) -> None:
         self.beyond_ns, self.before_rps = 0, 0.0
 
     def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
-        """From `since_ns` on the wheel is beyond its commanded speeds. `rolls_ns`: how long it may be; `every_ns`: the
-        time between two reports."""
+        """Record that from `since_ns` on the wheel turns faster than commanded, or in the other direction. `side`: 1 if
+        its speed is too high, -1 if it is too low. `rolls_ns`: how long that is allowed. `every_ns`: the time between
+        two reports."""
         self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
         self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
         self.halves = [0.0, 0.0, 0.0, 0.0]
 
     def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
-        """Add a report while the wheel is beyond its commanded speeds."""
+        """Add a report during the time in which the wheel does not turn as commanded."""
         self.reports += 1
         half = 2 * (t_ns > self.second_ns)
         self.halves[half] += seen_rps * weight
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """True if the wheel slows down by more than one count of the encoder (`count`, in turns times ns) and a late
-        report can explain. Also true while too little is known about one of the halves."""
+        """True if the wheel slows down, by more than one count of the encoder and a late report can explain. Also True
+        if too little is known about one of the halves. `count`: one count, in turns times ns. `late_ns`: how late a
+        report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -166,24 +171,27 @@ class _Wheel:
 
 class RunawayJudge:
     """Judges whether the wheels follow their commands. Call follow() at each turn with the speeds that the gate
-    commands, and add() for each report of the board, in the order of time. add() returns a Finding for a wheel that has
-    run away or that stands still although it should turn, and None while all is well or nothing can be said."""
+    commands, and add() for each report of the board, in order of time.
+
+    add() returns a Finding if a wheel has run away, or stands still although it should turn. It returns None if all is
+    well or if nothing can be said.
+    """
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
-        """`wheels`: the wire ids of the wheels that the robot has."""
+        """`wheels`: the wire ids of the robot's wheels."""
         self._limits = limits
         self._wheels = {wheel: _Wheel() for wheel in wheels}
         self._told: deque[tuple[int, Told]] = deque()
-        """The commanded speeds, and from when on they count. The oldest entry is older than any report that may still
-        come."""
+        """The commanded speeds, each with the time since when they count. The oldest entry is older than any report
+        that may still come."""
         self._followed_ns = 0
         self._read_ns = 0
         self._turns: Told = ()
         self._moves = False
-        """True if motion is commanded, or was commanded and the wheels have not been seen at rest since."""
+        """True if motion is commanded, or was commanded and the wheels have not been seen at rest since then."""
 
     def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
-        """Follow the speeds that are commanded from `since_ns` on, in turns per second by wire id. While motion is not
+        """Record the speeds that are commanded from `since_ns` on, in turns per second by wire id. While motion is not
         `enabled`, nothing is judged."""
         if not enabled or now_ns - self._followed_ns > UNFOLLOWED_NS:
             self._forget(now_ns)
@@ -211,25 +219,25 @@ class RunawayJudge:
         self._read_ns, self._turns = now_ns, ()
 
     def _fastest(self, index: int) -> float:
-        """The fastest speed that was commanded for this wheel lately."""
+        """The fastest speed that was lately commanded for this wheel."""
         return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
-        """Add a report, by wire id: speeds in turns per second, or how far each wheel has turned. Returns the first
-        wheel that does not turn as commanded; each is returned only once."""
+        """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
+        the first wheel that does not turn as commanded, or None. A wheel is not returned again with every report."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
             elapsed_ns, before = t_ns - self._read_ns, self._turns
             if len(before) == len(turns) and elapsed_ns < limits.every_ns // 4:
-                return None  # reports that were held up come together: nobody knows when each was made
+                return None  # reports that were held up come together, so nobody knows when each was made
             begun_ns, self._read_ns, self._turns = self._read_ns, t_ns, turns
             if len(before) != len(turns):
                 return None
             speeds_rps = tuple([(now - then) * 1e9 / elapsed_ns for now, then in zip(turns, before, strict=True)])
             blur_rps += 1e9 / (limits.counts * elapsed_ns)
         if not self._told or begun_ns - LAG_NS < self._told[0][0]:
-            return None  # what they were told then is not known
+            return None  # the commands of that time are not known
         found, rests = None, True
         for index, wheel in self._wheels.items():
             if index < len(speeds_rps):
@@ -242,7 +250,7 @@ class RunawayJudge:
         return found
 
     def _bounds(self, index: int, since_ns: int) -> tuple[float, float]:
-        """The lowest and the highest speed that were commanded for this wheel since then."""
+        """The lowest and the highest speed that were commanded for this wheel since `since_ns`."""
         lowest = highest = self._told[-1][1][index]
         for at in range(len(self._told) - 2, -1, -1):
             if self._told[at + 1][0] <= since_ns:
@@ -270,20 +278,21 @@ class RunawayJudge:
                 if not wheel.slows(*((1e9 / limits.counts, HELD_BACK_NS) if limits.counts else (0.0, 0))):
                     wheel.beyond_ns = 0
                     return Finding(RAN_AWAY, index, self._told[-1][1][index], seen)
-                wheel.begin(side, t_ns, wheel.rolls_ns, limits.every_ns)  # it has as long again
+                wheel.begin(side, t_ns, wheel.rolls_ns, limits.every_ns)  # it slows down, so it gets as long again
         wheel.last_ns = t_ns
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """If two reports are further apart than this, the wheel may have done anything in between. Reports of positions
-        may be further apart, because a position shows what it did."""
+        """If two reports are further apart than this, the wheel may have done anything between them. Reports of
+        positions may be further apart than reports of speeds, because a position shows what happened since the one
+        before."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(
         self, index: int, wheel: _Wheel, seen: float, bounds: tuple[float, float, float], span: tuple[int, int]
     ) -> Finding | None:
         lowest, highest, _ = bounds
-        told = max(lowest, -highest)  # the least, where both have one sign
+        told = max(lowest, -highest)  # the slowest commanded speed, if both have the same sign
         if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
             wheel.stands_ns, wheel.stand_noted = 0, False
             return None

@@ -1,8 +1,8 @@
 """Scale: compares how fast the wheels and the robot turn with what was commanded. Pure.
 
-It uses only measurements that don't depend on the scale of the commands: reports in another unit, and the gyro. A wheel
-lags behind its command, so the comparison begins a moment after the command has changed. The less was compared, the
-larger a difference must be before anybody is told.
+It uses only measurements that don't depend on the scale of the commands: the gyro, and reports that have their own
+scale. A wheel lags behind its command, so the comparison begins a moment after the command has changed. The shorter the
+compared time, the larger a difference must be before it is reported.
 """
 
 from __future__ import annotations
@@ -19,28 +19,33 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 FALLEN_S = 0.6
-"""For this long after the command has become slower nothing is compared, because a wheel may still turn as fast as
+"""After a command has become slower, nothing is compared for this long, because a wheel may still turn as fast as
 before."""
 BEGINS_S = 0.2
-"""For this long after a command has begun nothing is compared."""
+"""After a command has begun, nothing is compared for this long."""
 REACHED_S = 0.3
 """A command that has stayed the same for this long counts as reached. Only then can a wheel be called too slow."""
 RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
-"""For how many seconds speeds must have been compared: while the command rises, and after it was reached."""
+"""For how many seconds speeds must have been compared. The first value is for the time while the command rises, and the
+second for the time after it was reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
-"""These, divided by the compared seconds, are added to the allowed factor. So the shorter the comparison, the larger a
-difference must be."""
+"""These values, divided by the compared seconds, are added to the allowed factor. So after a short comparison only a
+large difference counts. The first value is for the time while the command rises, and the second for the time after it
+was reached."""
 FORGET_S = 10.0
-"""When this many seconds have been compared, half of them are forgotten, so that the result follows the robot."""
+"""When this many seconds have been compared, half of them are forgotten, so that the result follows changes of the
+robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
-"""Commands below this are not compared, because they are rounded, and a motor may not begin to turn."""
+"""Commands below these (turns per second, rad/s) are not compared, because they are rounded, and a motor may not start
+to turn."""
 UNTURNED = 0.05
-"""If wheels turn at less than this share of their commanded speed, they count as standing still: unplugged, or held."""
+"""A wheel that turns at less than this share of its commanded speed counts as standing still, because it is unplugged
+or held."""
 SAME = 1e-6
 
 
 class Sum:
-    """The sums of commanded and measured motion over some time."""
+    """The commanded and the measured motion, added up over some time."""
 
     __slots__ = ("_measured", "_told", "seconds")
 
@@ -56,30 +61,30 @@ class Sum:
 
     @property
     def ratio(self) -> float:
-        """Measured divided by commanded; NaN if nothing was compared."""
+        """The measured motion divided by the commanded motion. NaN if nothing was compared."""
         return self._measured / self._told if self._told else nan
 
 
 class Ratio:
-    """Measured motion divided by commanded motion, for one wheel or for the robot's turn."""
+    """Compares measured with commanded motion, for one wheel or for the robot's turning."""
 
     __slots__ = ("_before", "_least", "_same_s", "_wait_s", "reached", "risen")
 
     def __init__(self, least: float) -> None:
-        """`least`: a smaller command is not compared."""
+        """`least`: commands smaller than this are not compared."""
         self._least = least
         self._before = self._same_s = 0.0
         self._wait_s = BEGINS_S
         self.risen, self.reached = Sum(), Sum()
-        """The sums while the command rose or stayed the same, and the sums after it was reached."""
+        """`risen`: the sums while the command rose or stayed the same. `reached`: the sums after it was reached."""
 
     @property
     def known(self) -> Sum:
-        """The sum that tells more."""
+        """The sum that says more: `reached` if enough was compared, otherwise `risen`."""
         return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
-        """Add the commanded and the measured motion of this time."""
+        """Add the commanded and the measured motion of the last `elapsed_s` seconds."""
         fell = told * self._before < 0 or abs(told) < abs(self._before) - SAME
         same = abs(told - self._before) <= SAME
         self._before = told
@@ -93,8 +98,8 @@ class Ratio:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, least: float, most: float) -> bool:
-        """True if the ratio is known to be less than `least` or more than `most`. A wheel that lags behind is not slow,
-        so while the command rises it can only be called too fast."""
+        """True if the ratio is certainly below `least` or above `most`. A wheel that lags behind is not slow, so while
+        the command rises the wheel can only be called too fast."""
         risen, reached = self.risen, self.reached
         if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
             return True
@@ -105,7 +110,7 @@ class Ratio:
 
 
 class ScaleJudge:
-    """Judges whether the speeds fit. Call update() at each look at the wheels."""
+    """Judges whether the measured speeds fit the commanded ones. Call update() each time the wheels are looked at."""
 
     def __init__(self, settings: Settings, board: Board) -> None:
         self._chassis = kinematics.from_settings(settings)
@@ -117,18 +122,18 @@ class ScaleJudge:
         self.wrong: tuple[str, ...] = ()
         """What differs, in words, with the setting to check."""
         self.remarks: tuple[str, ...] = ()
-        """Smaller differences, in words, which a healthy robot may explain."""
+        """Smaller differences, in words. A healthy robot may have them."""
 
     @property
     def wheels(self) -> float:
-        """The wheels' measured speed divided by the commanded speed; NaN if not known."""
+        """The wheels' measured speed divided by the commanded one. NaN if it is not known."""
         turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         compared = sum(wheel.seconds for wheel in turning)
         return sum(wheel.ratio * wheel.seconds for wheel in turning) / compared if compared else nan
 
     @property
     def turn(self) -> float:
-        """The robot's measured turn rate divided by the commanded one; NaN if not known."""
+        """The robot's measured turn rate divided by the commanded one. NaN if it is not known."""
         return self._turn.known.ratio
 
     def update(
@@ -139,9 +144,11 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare what has happened since the last call; True if the result in words has changed. `velocity`: as
-        commanded; `speeds_rps`: as the board reported at `read_ns`, by wire id; `turn_radps`: as the gyro feels it,
-        None while its bias is not known."""
+        """Compare the motion since the last call. Returns True if a result in words has appeared or disappeared.
+
+        `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
+        `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.
+        """
         elapsed_s, self._last_ns = (now_ns - self._last_ns) * 1e-9, now_ns
         if not 0 < elapsed_s < 1:
             return False
@@ -158,7 +165,7 @@ class ScaleJudge:
         return (bool(self.wrong), bool(self.remarks)) != before
 
     def _of_wheels(self) -> tuple[str, str]:
-        """The texts about the wheels: what is wrong, or a remark."""
+        """Two texts about the wheels: what is wrong, and a remark. Each may be empty."""
         holds = self._reports.holds_speed
         turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         if not turning or not _all_differ(turning, scale.FITS):

@@ -1,7 +1,7 @@
 """Silence: remembers when the board last sent anything, and how long it may pause before it counts as silent. Pure.
 
-Only a board that reports without being asked can be judged by its pauses. The silence of a board that sends only
-answers shows as unanswered questions, which the supervisor judges (supervisor/proof.py).
+Only a board that sends reports without being asked can be judged by its pauses. If a board sends only answers, its
+silence shows as unanswered pings, which the supervisor judges (supervisor/proof.py).
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
 
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
-"""Kinds of reports that come regularly. A key or a gamepad reports only when somebody touches it."""
+"""The kinds of reports that come regularly. A key or a gamepad sends reports only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""No pause that is shorter than this counts as silence, because an adapter may stall for up to 0.3 s, and a restart
-takes about as long."""
+"""No shorter pause counts as silence. An adapter may stall for up to 0.3 s, and a restart takes about as long."""
 DESCRIBED_PAUSES = 4
-"""A pause is silence if it is this many times as long as the longest pause of a healthy board, which the board's
-description gives."""
+"""If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the description gives none, pauses are measured: for this long, and this many of them. Until then the board never
-counts as silent."""
+"""If the description gives no pause, the pauses are measured for this many ns, and at least this many pauses. Until
+then the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""Then a pause is silence if it is this many times the mean pause, and this many times the longest one. While the
-machine is held up, pauses look longer than they are, so each later measurement may shorten the time."""
+"""After the measurement, a pause is silence if it is both this many times the mean pause and this many times the
+longest one. While the machine is held up, pauses look longer than they are, so each later measurement may shorten the
+limit."""
 NOISE_NS = 2_000_000_000
-"""Unreadable bytes count as a sign of life for this long, because a few garbled reports in a row are no silence."""
+"""Unreadable bytes count as a sign of life for this long. A few garbled reports in a row are no silence."""
 
 
 class Silence:
-    """One board at one port. Times are CLOCK_MONOTONIC in ns."""
+    """The silence of one board at one port. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
-        """`patience_ns`: how long the board may pause, as the process before this one has learned it."""
+        """`patience_ns`: how long the board may pause, as an earlier telemetry process has measured it; 0 if not
+        known."""
         self.said_ns = 0
-        """When the board last sent anything; 0: never."""
+        """When the board last sent anything, or 0 if it has not."""
         self.patience_ns = patience_ns
-        """How long the board may pause; 0: not known, or it sends only answers."""
+        """How long the board may pause. 0 if that is not known, or if the board sends only answers."""
         self._understood_ns = self._regular_ns = 0
         self._asked = bool(board.pings) and board.ping_ns > 0
         every_ns = board.reports.every_ns
@@ -51,7 +51,8 @@ class Silence:
             self.patience_ns = 0 if self._asked or not every_ns else max(LEAST_PAUSE_NS, DESCRIBED_PAUSES * every_ns)
 
     def heard(self, kinds: Collection[int], came_ns: int) -> None:
-        """Bytes have come, with reports of these kinds, or with none if the bytes were unreadable."""
+        """Record that bytes have come, with the kinds of the reports in them. `kinds` is empty if they were
+        unreadable."""
         if kinds:
             self._understood_ns = came_ns
         if not self._understood_ns or came_ns - self._understood_ns >= NOISE_NS:
@@ -75,6 +76,6 @@ class Silence:
             self._begun_ns = came_ns
 
     def forget(self) -> None:
-        """The port is gone, so the next bytes may be from another device."""
+        """Begin again, because the port is gone and the next bytes may be from a different device."""
         self.said_ns = self._understood_ns = self._regular_ns = 0
         self._longest_ns = self._pauses = 0

@@ -1,7 +1,7 @@
-"""Files in the state directory. They are written whole or not at all, by a thread, because a slow disk must not hold up
-the loop.
+"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each is written
+completely or not at all.
 
-If a file can't be written, that costs one line in the journal and nothing else.
+If a file can't be written, the only effect is one line in the journal.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from failstop.files import durable
 Job = tuple[str, Callable[[], None]]
 
 THREAD_STACK_BYTES = 256 * 1024
-"""The stack size of the thread. Memory is locked only when it is touched, but all of it counts against the limit before
-that."""
+"""The stack size of the thread. Only the part that is used takes locked memory, but the whole stack counts against the
+limit."""
 MOST_READ = 4096
 """The most bytes of a file that are read. Each of these files holds one line."""
 MOST_JOBS = 100
-"""How many jobs may wait for the disk. With a line every 10 s, that is a quarter of an hour."""
+"""How many jobs may wait for the disk. With one line every 10 s, this is enough for a quarter of an hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
-    """Append a whole line; a new file starts with the header. Raises OSError, and then the file is as it was."""
+    """Append a whole line to a file. A new file starts with the header. After an OSError the file is as it was."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
         size = os.fstat(fd).st_size
-        # A line that a power cut has truncated is ended, so that it doesn't spoil the next.
+        # If a power cut has truncated the last line, end that line, so that it doesn't spoil the next one.
         torn = size > 0 and os.pread(fd, 1, size - 1) != b"\n"
         data = (("\n" if torn else "" if size else header) + line).encode()
         if os.write(fd, data) != len(data):
@@ -42,7 +42,7 @@ def append_line(path: str, header: str, line: str) -> None:
 
 
 def write_whole(path: str, text: str) -> None:
-    """Replace a file's content, whole or not at all. Raises OSError, and then the old content is unchanged."""
+    """Replace the content of a file. After an OSError the old content is unchanged."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     draft = f"{path}.new"
     durable.write_draft(draft, text.encode())
@@ -50,19 +50,19 @@ def write_whole(path: str, text: str) -> None:
 
 
 class StateFiles:
-    """Jobs for the thread, and their results. Everything except for _work runs in the loop's thread."""
+    """The jobs for the thread, and their results. Only _work() runs in the thread; everything else runs in the loop."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
-        """The files whose last write failed, and why. Used only by the thread."""
+        """The files whose last write failed, each with the reason. Normally only the thread uses this."""
         self._running = False
 
     def read(self, what: str, name: str) -> str:
-        """The text of a file; empty if it does not exist. Call it only at the start, because it does not use the
-        thread."""
+        """The text of a file, or empty if the file does not exist or can't be read. Call it only at the start, because
+        it reads the disk directly, without the thread."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:
@@ -76,14 +76,14 @@ class StateFiles:
             return ""
 
     def append(self, what: str, name: str, header: str, line: str) -> None:
-        """Append a line to a file soon. `what`: the file's name in the journal."""
+        """Append a line to a file; the thread does it soon. `what`: what the journal calls this file."""
         self._put(what, lambda: append_line(os.path.join(self.folder, name), header, line))
 
     def replace(self, what: str, name: str, text: str) -> None:
         self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[tuple[str, str]]:
-        """Lines for the journal since the last call, each with the step to take."""
+        """The new lines for the journal, as (text, what to do about it)."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
     def _put(self, what: str, write: Callable[[], None]) -> None:

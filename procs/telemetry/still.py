@@ -1,9 +1,9 @@
-"""Still: judges by the gyro whether the wheels are still. Pure.
+"""Still: judges from the gyro whether the wheels are still. Pure.
 
-Turning wheels shake the robot, which shows in the standard deviation of gyro x and gyro y over a window. The limit
-between still and turning is close to both, so a window is quiet by chance now and then. The verdict is therefore
-"still" only when every window has been quiet for another HOLD_NS. docs/reference/telemetry.md has how often windows and
-holds of several lengths are wrong, the delay, and the effect of an IMU with another rate.
+Turning wheels shake the robot. The shaking shows in the standard deviation of gyro x and gyro y over a window of
+samples. Still and turning are not far apart, so a window is sometimes quiet by chance. So the verdict is "still" only
+when every window has been quiet for another HOLD_NS. docs/reference/telemetry.md says how often the verdict is wrong
+for several lengths of window and hold, how late it comes, and how an IMU with another rate affects it.
 """
 
 from __future__ import annotations
@@ -12,39 +12,40 @@ from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 
 HOLD_NS = 250_000_000
 GAP_NS = 100_000_000
-"""The longest gap between two samples of one window. The first sample after a longer gap starts a new window."""
+"""The longest gap between two samples of one window. After a longer gap, a new window starts."""
 UNITS_PER_RADPS = 10_000_000
-"""The sums are of integers, so they are exact: they don't drift, and one wild sample has no lasting effect."""
+"""Samples are added up as integers in this unit. So the sums are exact: they don't drift, and a single wild sample has
+no lasting effect."""
 
 
 class StillJudge:
-    """Decides since when the wheels are still. The gyro's bias does not matter, because a deviation does not contain
-    it.
+    """Decides since when the wheels have been still. The gyro's bias does not matter, because it does not change the
+    standard deviation.
 
-    Shaking below the limit counts as still. On the robot that is the case when it drives straight at less than about
+    Shaking below the limit counts as still. On the robot, this is the case when it drives straight at less than about
     0.08 m/s.
     """
 
     def __init__(self, std_radps: float) -> None:
-        """`std_radps`: a smaller deviation on both x and y is quiet."""
+        """`std_radps`: a window is quiet if the standard deviations of both x and y are below this."""
         self._limit = (std_radps * UNITS_PER_RADPS) ** 2
         self._samples: list[tuple[int, int, int]] = []
         self._sums = (0, 0, 0, 0)
-        """The sums of x, x squared, y and y squared over the samples."""
+        """The sums of x, x squared, y and y squared over all samples of the window."""
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """The first and the last sample of the first window since all windows have been quiet; zeros if the present
-        window is not quiet."""
+        """The times of the first and the last sample of the first quiet window, if all windows since then have been
+        quiet. Zeros if the present window is not quiet."""
         self.still_ns = 0
-        """Since when the wheels are still, because all samples from then on are in quiet windows; 0: they turn, or
-        nobody knows. It may be before the stop, because a window is quiet as soon as most of it is rest."""
+        """Since when the wheels have been still, because all samples from then on are in quiet windows. 0 if they turn,
+        or if it is not known. It may be before the stop, because a window is quiet as soon as most of it is rest."""
         self.judged_ns = 0
-        """The time of the last sample with a verdict; 0: there is none yet, for example while the first quiet windows
-        must hold."""
+        """The time of the last sample that has a verdict. 0 if there is no verdict, for example until the first quiet
+        windows have held for HOLD_NS."""
 
     def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
-        """Add one finite sample, with or without its bias. About 2 us."""
+        """Add one finite sample. It may contain the bias or not. Takes about 2 us."""
         if not 0 <= t_ns - self._last_ns <= GAP_NS:
             self._samples.clear()
             self._sums, self._begun_ns = (0, 0, 0, 0), t_ns
@@ -56,7 +57,7 @@ class StillJudge:
             self._quiet_ns = (0, 0)
 
     def _slide(self, x: int, y: int, t_ns: int) -> None:
-        """Add a sample to the window, and drop those that are too old."""
+        """Add a sample to the window, and drop the samples that are too old."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         samples = self._samples
         samples.append((t_ns, x, y))
@@ -73,14 +74,14 @@ class StillJudge:
         self._sums = (sum_x, squares_x, sum_y, squares_y)
 
     def _judge(self, t_ns: int) -> bool:
-        """True if this window is quiet."""
+        """True if this window is quiet. Also updates the verdict."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         count = len(self._samples)
         # The variance times count x (count - 1).
         spread_x = count * squares_x - sum_x * sum_x
         spread_y = count * squares_y - sum_y * sum_y
         if not spread_x and not spread_y:
-            return False  # a sensor that repeats one value has died, and proves nothing
+            return False  # a sensor that repeats one value is broken, so it proves nothing
         if max(spread_x, spread_y) >= self._limit * (count * (count - 1)):
             self.judged_ns = t_ns
             return False

@@ -1,12 +1,15 @@
-"""Unasked: telemetry's reaction to wheels that turn although they were told zero. Pure.
+"""Unasked: how telemetry reacts if the wheels turn although zero is commanded. Pure.
 
-    enabled            nothing: the gate reads the same fact, and disables motion with a burst
-    disabled for that  write the stop again; if the wheels turn for as long once more, latch a stop (UNSTILL)
-    disabled           somebody pushes the robot, or another program drives it: report it, and write the stop again
-    latched            nothing until the wheels were seen still once, because the supervisor follows the stop; then as
-                       disabled
+What it does depends on the state of the gate:
 
-If only an IMU notices, it is only reported, because a robot that is carried shakes too.
+    motion enabled         nothing, because the gate reads the same fact and disables motion with a burst
+    motion was disabled    write the stop again; if the wheels then turn for as long once more, latch a stop (UNSTILL)
+      because of it
+    motion disabled        somebody pushes the robot, or another program drives it: report it, and write the stop again
+    a stop is latched      nothing until the wheels were seen still once, because the supervisor follows the stop; after
+                           that, the same as while motion is disabled
+
+If only an IMU notices the motion, it is only reported, because a robot that is carried shakes too.
 """
 
 from __future__ import annotations
@@ -18,12 +21,12 @@ from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 NOTE_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
-"""How long people are not told again about wheels that still turn. The key is True if the board's reports show it, and
+"""The shortest time between two notes about wheels that still turn. The key is True if the board's reports show it, and
 False if only an IMU notices it."""
 
 
 class Reaction(Data):
-    """What telemetry must do now."""
+    """What telemetry must do now about wheels that turn."""
 
     cause: Cause | None
     """The cause of a stop that must be latched, or None."""
@@ -36,22 +39,23 @@ NO_REACTION = Reaction(None, False, None)
 
 
 class Unasked:
-    """Decides the reaction. Call update() at each change of the wheels or the gate."""
+    """Decides the reaction. Call update() at each change of the wheels or of the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long wheels may turn after they were told zero."""
+        """`after_ns`: how long the wheels may turn after zero was commanded."""
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned; 0 if that is not so, or not known."""
+        """When motion was disabled because the wheels turned, or 0 if it was not, or if that is not known."""
         self._epoch = 0
         self._rested = False
-        """True if the wheels were seen still in the epoch of the latched stop."""
+        """True if the wheels have been seen still in the current epoch."""
         self._again_ns = self._noted_ns = 0
         self._noted_turning = False
 
     def update(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
-        """Follow the wheels. `epoch`: the gate's epoch, which every stop raises."""
+        """Decide the reaction to the newest fact about the wheels. `epoch`: the gate's epoch, which every stop
+        raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:
             self._epoch, self._rested = epoch, False

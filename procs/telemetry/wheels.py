@@ -1,7 +1,8 @@
-"""Wheels: what is known about the wheels now, from the board's reports, or from the IMU if there are none. Pure.
+"""Wheels: what is known about the wheels at the moment. It comes from the board's reports, or from the IMU if there are
+none. Pure.
 
-Every screen shows this one fact: the wheels turn, they are still, or nobody knows. The board's own reports count first,
-because an IMU only feels that the robot moves, or is being moved.
+Every screen shows the same fact: the wheels turn, they are still, or nobody knows. The board's own reports have
+priority, because an IMU only feels that the robot moves or is being moved.
 """
 
 from __future__ import annotations
@@ -23,69 +24,71 @@ SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
 _NOT_REPORTED = (nan,) * MOST_WHEELS
 
 LEAST_COUNTS = 2.5
-"""A change of fewer counts is the jitter of an encoder at rest."""
+"""If a position changes by fewer counts than this, it is the jitter of an encoder at rest."""
 FASTEST_RPS = 50.0
-"""No wheel turns this fast, in turns per second (12 m/s with a wheel of 8 cm), so faster reports are not believed."""
+"""No wheel turns this fast, turns per second (12 m/s for a wheel of 8 cm). Faster reports are not believed, unless the
+settings allow such speeds."""
 LEAST_TURN = 0.02
-"""A change of less than this, in turns, does not count as a jump of a counter (5 mm with a wheel of 8 cm)."""
+"""A change of fewer turns than this does not count as a jump of a counter (5 mm for a wheel of 8 cm)."""
 LONGEST_SILENCE_NS = 500_000_000
-"""After a longer silence of the board nobody knows how a wheel turned in it, unless the board counts turns."""
+"""If the board was silent for longer than this, nobody knows how a wheel turned meanwhile, unless the board counts
+turns."""
 SAME_READ_NS = 5_000_000
-"""Reports that are closer together than this came in one read, so their times say nothing about speed."""
+"""Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
 _AT_ONCE_NS = 250_000_000
 """A counter that has started at zero has counted for at most this long before it is first read."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
-    """These values, filled up with NaN to the number of wheels that a record has."""
+    """These values, filled up with NaN to the number of wheels in a record."""
     return (*values, *_NOT_REPORTED)[:MOST_WHEELS]
 
 
 class Measured:
-    """Speeds and turns of the wheels by wire id, as the board reports them.
+    """The speeds and turns of the wheels, by wire id, as the board reports them.
 
-    An impossible report counts as not reported. If a counter jumps and the next report goes on from the new value, the
-    new value is believed, but the jump does not count as turns: the board has restarted, or somebody has reset its
+    An impossible report is ignored. If a counter jumps and the next report continues from the new value, the new value
+    is believed, but the jump does not count as turns. Either the board has restarted, or somebody has reset its
     counters.
     """
 
     def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
-        """`most_rps`: the highest speed that may be commanded, in turns per second; a report far above it is not
+        """`most_rps`: the highest speed that may be commanded, turns per second. A report far above it is not
         believed."""
         self._reports = reports
         self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
         self.counts = reports.position_per_turn > 0
-        """True if the board counts turns itself. Otherwise turns are added up from its speeds, so that turns between
-        reports can be lost."""
+        """True if the board counts turns itself. Otherwise turns are added up from its speeds, so turns between two
+        reports may be lost."""
         self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
-        """Turns between two counts; 0: too small to matter."""
+        """How many turns one count is. 0 if that is too small to matter, or if the board does not count."""
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
-        """When the newest report came that counts; 0: none yet."""
+        """When the newest believed report came, or 0 if there is none."""
         self.speeds_rps: tuple[float, ...] = ()
-        """Turns per second; empty: not known."""
+        """The speeds in turns per second. Empty if they are not known."""
         self.turns: tuple[float, ...] = ()
-        """Turns since the first report; empty: not reported."""
+        """The turns since the first report. Empty if they are not reported."""
         self.missed = 0.0
-        """How many turns a wheel may have made unseen since the first report, in all gaps together."""
+        """How many turns a wheel may have made in gaps between reports, since the first report."""
         self._positions: tuple[float, ...] = ()
         self._strange: tuple[int, tuple[float, ...]] = (0, ())
-        """A report that may begin a new count: its time and its positions."""
+        """The last report that was not believed, as (time, positions). The next report may continue from it."""
         self._moved: tuple[float, ...] = ()
         self._moved_ns = 0
-        """Since when the turns are counted from which the speeds are computed."""
+        """The time from which `_moved` counts turns. The speeds are computed from those turns."""
 
     def inherit(self, turns: Sequence[float], speeds_rps: Sequence[float], t_ns: int) -> None:
-        """Continue from the newest report of an earlier run of this process."""
+        """Continue from the newest report of an earlier telemetry process."""
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report of the board, in its own units. True if `speeds_rps` was measured with this report; otherwise it
-        is older."""
+        """Add a report of the board, in the board's own units. Returns True if `speeds_rps` was measured with this
+        report. Otherwise `speeds_rps` is older."""
         told = self._reports
         rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
         counts = positions if self.counts else ()
-        # A chained comparison is false for NaN.
+        # The chained comparison is false for NaN, so a NaN is not believed.
         if not all(-self._fastest_rps <= each <= self._fastest_rps for each in rps):
             rps = ()
         if not all(map(isfinite, counts)):
@@ -105,7 +108,7 @@ class Measured:
         return bool(rps)
 
     def _add_up(self, rps: tuple[float, ...], t_ns: int) -> None:
-        """Add turns from speeds: the mean of two reports times the time between them."""
+        """Add up turns from speeds, as the mean speed of two reports times the time between them."""
         if len(self.turns) != len(rps):
             self.turns = (0.0,) * len(rps)
         if self.t_ns and t_ns > self.t_ns and len(self.speeds_rps) == len(rps):
@@ -117,7 +120,7 @@ class Measured:
                 self.missed += max(map(abs, (*self.speeds_rps, *rps)), default=0.0) * gap_ns * 1e-9
 
     def _count(self, positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add turns from counters; False if the report is not believed."""
+        """Add turns from the board's counters. Returns False if the report is not believed."""
         elapsed_ns = max(0, t_ns - self.t_ns)
         strange_ns, strange = self._strange
         self._strange = (0, ())
@@ -144,7 +147,7 @@ class Measured:
             self._lose(t_ns - self.t_ns)
         else:
             self.turns = (0.0,) * len(positions)
-        # The first count says nothing about the speed, and the last known one is from before a gap.
+        # The first count says nothing about the speed, and the last known speed is from before a gap.
         self.speeds_rps = ()
         self._positions, self._moved, self._moved_ns = positions, (0.0,) * len(positions), t_ns
 
@@ -153,7 +156,7 @@ class Measured:
         self.missed += max(map(abs, self.speeds_rps), default=0.0) * longest_s
 
     def _steps(self, before: tuple[float, ...], positions: tuple[float, ...]) -> tuple[float, ...]:
-        """Turns between two reports."""
+        """The turns between two reports."""
         told = self._reports
         steps = [now - then for now, then in zip(positions, before, strict=True)]
         if told.wraps:
@@ -181,16 +184,16 @@ class Measured:
 
 
 class Way:
-    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips
-    because the encoder stands on an edge is not a way."""
+    """How far the wheels have moved since they were last at rest, if the board reports positions. A count may flip back
+    and forth if the encoder rests on an edge; that does not count as movement."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """True if they have gone further than such a flip explains, or if no positions are known. `turns`: the turns of
-        each wheel; `rest`: the wheels are at rest now."""
+        """True if the wheels have moved further than a flipping count explains, or if the board reports no positions.
+        `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -203,22 +206,22 @@ class WheelFact:
     """What is known about the wheels, and since when. Call update() at each reading and at each change of the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long wheels may turn after they were told zero."""
+        """`after_ns`: how long the wheels may turn after zero was commanded."""
         self._after_ns = after_ns
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """Since when the wheels do what they do now; 0 if not known."""
+        """Since when the wheels have been still or turning, as `does` says. 0 if that is not known."""
         self.read_ns = 0
-        """When the newest reading was made; 0: never."""
+        """When the newest reading was made, or 0 if there is none."""
         self.unexpected = False
-        """True if the wheels turn although they were told zero for longer than allowed."""
+        """True if the wheels turn although zero has been commanded for longer than allowed."""
 
     def update(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
     ) -> None:
-        """Judge again. `told_zero_ns`: since when the wheels are told zero; 0: they are told to turn. `went`: True if
-        they have moved further than an encoder explains that flips on the edge of a count."""
+        """Judge the wheels again. `told_zero_ns`: since when zero has been commanded, or 0 if motion is commanded.
+        `went`: False if the wheels have moved no further than a flipping count explains (see Way)."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
         before = (self.does, self.by)
         self.read_ns = judge.judged_ns
@@ -228,7 +231,7 @@ class WheelFact:
             self.does = ARE_STILL if judge.still_ns else THEY_TURN
             self.by = SEEN_BY_REPORTS if judge is read_back else SEEN_BY_IMU
         late = told_zero_ns > 0 and self.read_ns - max(told_zero_ns, self.since_ns) >= self._after_ns
-        # Reports that have ended say nothing about now.
+        # If the reports have ended, the last one says nothing about the present.
         self.unexpected = self.does == THEY_TURN and late and went and now_ns - self.read_ns < self._after_ns
         if before != (self.does, self.by):
             self.since_ns = judge.still_ns or judge.judged_ns or now_ns
