@@ -1,2 +1,2 @@
-"""The guard port: a serial port that behaves like the motor board, so that a driver program drives through the
-service."""
+"""The guard port: a serial port that behaves like the motor board, so that an existing driver program drives through
+the service."""

@@ -1,4 +1,4 @@
-"""The checks of `failstop doctor` that are about the guard port."""
+"""The checks of `failstop doctor` about the guard port."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from failstop.guard.said import GUARD, path_in
 
 
 def check(look: Look) -> list[Finding]:
-    """The findings about the guard port: which program drives through it, and what keeps that program from moving
-    anything."""
+    """The findings about the guard port: which program drives through it, and what would keep that program from moving
+    the wheels."""
     clients = look.state.clients if look.state else ()
     found = [(path_in(client.sees), client) for client in clients if path_in(client.sees)]
     if not found:

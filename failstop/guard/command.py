@@ -1,4 +1,4 @@
-"""`failstop guard`: a serial port for a driver program, which then drives through the service."""
+"""`failstop guard`: opens a serial port for a driver program, which then drives through the service."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ failstop guard --path /run/port   # your driver opens this path
 failstop guard --dry-run          # without a robot: what your driver writes
 """
 PORT = "port"
-"""The link's name in the runtime directory."""
+"""The name of the link in the runtime directory."""
 LOOK_S = 0.5
 NICE = -10
-"""The guard's nice value. It runs before ordinary programs, but after the service's real-time processes, because a
-driver can keep it busy."""
+"""The guard's nice value. The guard runs before ordinary programs, but after the service's real-time processes, because
+a driver can keep the guard busy."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop guard`."""
+    """Add the options of `failstop guard`."""
     add = parser.add_argument
     add("--path", metavar="PATH", help="where your driver opens the port (default: the setting guard.path)")
     add(
@@ -62,7 +62,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Serve the guard port until SIGTERM or Ctrl-C. Raises FailstopError, SettingError."""
+    """Serve the guard port until SIGTERM or Ctrl-C. Raises FailstopError or SettingError."""
     instance.check_name(arguments.name)
     ends = _Ends()
     if arguments.dry_run:
@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
 
 
 class _Ends:
-    """Notes that SIGTERM or Ctrl-C has come."""
+    """Remembers whether SIGTERM or Ctrl-C has come, as `now`."""
 
     def __init__(self) -> None:
         self.now = False
@@ -98,7 +98,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
-    """Wait until the service runs, and return its settings; None if the guard was ended before."""
+    """Wait until the service runs, and return its settings. Returns None if the guard was ended before that."""
     said = ""
     while not ends.now:
         if service.look(time.monotonic_ns()):
@@ -111,8 +111,9 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The path of the port: the one in the settings, else one in a folder that this user may write to: systemd's folder
-    for this unit, the service's folder, or the user's own."""
+    """The path of the port. It is the one in the settings. If they have none, it is in the first of these folders that
+    exists and that this user may write to: systemd's folder for this unit, the service's folder, the user's own
+    folder."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):
@@ -145,7 +146,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
         try:
             _print_line(f"your driver opens {path} instead of the board's port; Ctrl-C ends the guard")
             gc.freeze()
-            with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
+            with contextlib.suppress(OSError):  # without the right to do so, answers come late on a busy machine
                 _go_first()
             while not ends.now:
                 guard.turn()
@@ -159,9 +160,9 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 def _go_first() -> None:
     """Run before ordinary programs. Raises OSError.
 
-    Linux first shares the processor among sessions (autogroup), so a nice value counts only within its session. As a
-    service the guard has a session to itself, and the nice value of that session counts among all. In a terminal it
-    shares its session with other programs.
+    Linux first shares the processor among sessions (autogroup), so a nice value only counts within its session. If the
+    guard runs as a service, it has its own session, and the nice value of that session is set too. In a terminal, the
+    guard shares its session with other programs.
     """
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     if os.getsid(0) == os.getpid():
@@ -170,8 +171,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line, but drop it if it can't be written at once, for example to a paused terminal or a pipe that nobody
-    reads. Waiting would hold up the guard, and with it the driver."""
+    """Print a line. It is dropped if it can't be printed at once, for example to a paused terminal or a pipe that
+    nobody reads. Waiting would hold up the guard, and with it the driver."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(standard.folded(line), flush=True)

@@ -1,9 +1,11 @@
-"""Door: which programs have the pseudo-terminal open, as far as that can be seen, and how many may.
+"""Door: knows which programs have the pseudo-terminal open, as far as that can be seen, and limits how many may.
 
-When a program is killed, its end shows first in /proc, as a pending SIGKILL or in its flags; the guard looks there a
-few hundred times per second. Then the kernel frees the program's memory and closes its files, which inotify reports,
-and at last its pidfd reports that it is gone. If the pidfd has reported that, but no close was reported, a child of the
-program still has the port open. The same is true if a program has closed all its descriptors but no close was reported.
+The end of a killed program is noticed in three steps. First, /proc shows it, as a pending SIGKILL or in the process's
+flags; the guard looks there a few hundred times per second. Then the kernel frees the program's memory and closes its
+files, and inotify reports the close. At last, the pidfd reports that the program is gone.
+
+A child of the program still has the port open if the pidfd has reported the end but inotify has reported no close. The
+same is true if a program has closed all its descriptors of the port and inotify has reported no close.
 """
 
 from __future__ import annotations
@@ -23,23 +25,23 @@ if TYPE_CHECKING:
 
 
 class Door:
-    """Watches the programs that have the pseudo-terminal open, and wakes the guard."""
+    """Watches the programs that have the pseudo-terminal open, and wakes the guard when something changes."""
 
     def __init__(self, pty: Pty) -> None:
-        """Raises OSError."""
+        """`pty`: the pseudo-terminal to watch. Raises OSError."""
         self._pty, self._poll = pty, select.epoll()
         self.seen: dict[int, Opener] = {}
-        """The programs that have opened the pseudo-terminal, as far as /proc shows them, by pid."""
+        """The programs that have opened the pseudo-terminal, by pid, as far as /proc shows them."""
         self.count = 0
-        """How often the pseudo-terminal is open, as far as is known."""
+        """How many times the pseudo-terminal is open, as far as that is known."""
         self._opened = 0
-        """How often it is open according to inotify, which also reports programs that /proc does not show."""
+        """How many times it is open according to inotify, which also reports programs that /proc does not show."""
         self.most = 1
-        """How often it may be open at once."""
+        """How many times it may be open at once."""
         self._lives: dict[int, int] = {}
-        """The pidfd of each of these programs, and of each that is dying."""
+        """The pidfd of each program in `seen`, and of each program that is dying."""
         self._dying: dict[int, tuple[Opener, int]] = {}
-        """The programs whose end was noticed, each with the number of closes that inotify has not reported yet."""
+        """The programs whose end was noticed, each with the number of its closes that inotify has not reported yet."""
         self._closed: set[int] = set()
         """The programs that had no descriptor of the pseudo-terminal when abandoned() last looked."""
         self._begin()
@@ -51,16 +53,16 @@ class Door:
 
     @property
     def crowded(self) -> bool:
-        """True if more programs have it open than may."""
+        """True if the pseudo-terminal is open more times than allowed."""
         return self.count > self.most
 
     def wait(self, seconds: float) -> dict[int, int]:
-        """Sleep until a driver has written, opened or closed the port, or for `seconds` at most. Returns what look()
-        needs."""
+        """Sleep until a driver has written, opened or closed the port, but at most for `seconds`. Returns the argument
+        for look()."""
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
-        """What has happened since the last look. It is quick, because a stop waits for it."""
+        """What has happened since the last look. It is quick, because a stop may wait for it."""
         news = News()
         for pid, opener in self.seen.items():
             if pid not in self._dying and (self._lives.get(pid) in ready or dying(pid)):
@@ -83,7 +85,7 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """True if this close belongs to a program whose end was noticed before."""
+        """True if a reported close belongs to a program whose end was noticed before."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -91,16 +93,17 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed the pseudo-terminal while a child of theirs still has it open. Each must be
-        found twice in a row, because the kernel's report of a close may still be on its way. Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
+        if two looks in a row find this, because the kernel's report of its close may still be on its way. Raises
+        OSError."""
         wanted, before = identity(self._pty.name), self._closed
         with contextlib.suppress(PermissionError):
             self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}
         return [self.seen[pid] for pid in self._closed & before]
 
     def recount(self, meanwhile: Callable[[], None]) -> None:
-        """Find out which programs have it open, and keep further programs out if there are as many as may be.
-        `meanwhile`: as in openers()."""
+        """Find out which programs have the pseudo-terminal open. If there are as many as allowed, keep more programs
+        out. `meanwhile`: called again and again while this takes time (see openers())."""
         found, hidden = openers(self._pty.name, self.seen, self._opened, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
@@ -117,13 +120,14 @@ class Door:
             self._poll.unregister(fd)
             os.close(fd)
         for pid in seen.keys() - self._lives.keys():
-            with contextlib.suppress(OSError):  # it has ended meanwhile, and closed it
+            with contextlib.suppress(OSError):  # the program has ended meanwhile, and closed the port
                 self._lives[pid] = os.pidfd_open(pid)
                 self._poll.register(self._lives[pid], select.EPOLLIN)
         self.seen = seen
 
     def hang_up(self) -> None:
-        """Throw all programs out; a new pseudo-terminal takes the place of this one. Raises FailstopError, OSError."""
+        """Throw all programs out, and open a new pseudo-terminal in place of the old one. Raises FailstopError,
+        OSError."""
         self._poll.unregister(self._pty.master)
         self._close_watch()
         self._pty.hang_up()

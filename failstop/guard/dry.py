@@ -1,4 +1,4 @@
-"""Dry: a guard without a service and without a robot, which prints what it would do with a driver's bytes."""
+"""Dry: a guard without a service and without a robot. It prints what the guard would do with a driver's bytes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AT_DEATH = {
     "latch": "and a stop is latched",
     "stay": "but motion stays enabled",
 }
-"""What happens when a driver dies while it drives, for each value of the setting gate.driver_death."""
+"""What also happens when a driver dies while it drives, for each value of the setting gate.driver_death."""
 MOST_SHOWN = 200
 """How many different motions of one driver are printed."""
 
@@ -30,7 +30,7 @@ class Nothing:
     """Takes the place of the service. No board answers, and no wheel turns."""
 
     def __init__(self, settings: Settings, tell: Callable[[str], None]) -> None:
-        """Raises ValueError."""
+        """`tell`: prints a line. Raises ValueError."""
         self.settings: Settings | None = settings
         self.source = FIRST_SOURCE
         self.runs = 1
@@ -44,22 +44,23 @@ class Nothing:
         self._complained = False
 
     def look(self, now_ns: int) -> bool:
-        """True: there is always something to write to."""
+        """Always True, because no service is needed."""
         return True
 
     def join(self, who: str, pid: int | None) -> None:
-        """A driver begins, so forget what was printed about the last one."""
+        """Forget what was printed about the last driver, because a new one begins."""
         self._shown.clear()
         self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
-        """A driver ends. If it did not end cleanly, print what failstop would do."""
+        """Handle the end of a driver. If it did not end cleanly, print what failstop would do."""
         if not in_order and self.settings:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
     def command(self, command: Command) -> str:
-        """Print a motion, but each one only the first time."""
+        """Print a motion, if this motion was not printed before. Returns a text if it is beyond the limits, or
+        empty."""
         self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
@@ -69,21 +70,21 @@ class Nothing:
         return self.scale.beyond(asked)
 
     def forward(self, frame: bytes) -> None:
-        """Print a frame that would be passed on, but each one only the first time."""
+        """Print a frame that would be passed on to the board, if it was not printed before."""
         if frame not in self._passed and len(self._passed) < MOST_SHOWN:
             self._passed.add(frame)
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print what is wrong, once until the next motion. What the guard itself has printed is left out: a refusal, or
-        how a driver ended."""
+        """Print what is wrong, once until the next motion. Refusals, and how a driver ended, are left out, because the
+        guard itself has printed them."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")
 
     def block(self) -> None:
-        """None, because there are no wheels that could be blocked."""
+        """Always None, because there are no wheels that could be blocked."""
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """Empty, because there is no board."""
+        """Always empty, because there is no board."""
         return []

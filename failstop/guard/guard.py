@@ -1,5 +1,5 @@
-"""Guard: the process's loop. In each turn it looks which programs have the port open, reads what they wrote, and writes
-what they get."""
+"""Guard: the loop of the guard's process. In each turn it finds out which programs have the port open, reads what they
+wrote, and writes the board's answers to them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
     class Board(Protocol):
-        """What a driver drives through: the service (service.py), or nothing (dry.py)."""
+        """What a driver drives through. This is the service (service.py), or nothing in a dry run (dry.py)."""
 
         settings: Settings | None
         scale: Scale
@@ -48,14 +48,13 @@ if TYPE_CHECKING:
 LISTEN_NS = 5_000_000
 """How often the board's bytes are read while a driver has the port open."""
 IDLE_NS = 100_000_000
-"""The longest sleep of the guard while no program has the port open. The first bytes of a driver may be that old when
-they are read."""
+"""The longest sleep while no program has the port open. A driver's first bytes may be this old when they are read."""
 LOOK_NS = 500_000_000
 """How often the guard checks whether the service and the link still exist."""
 SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated, so that it does not look old."""
 PAST_NS = 4_000_000_000
-"""For how long the board's last bytes are kept for the next driver."""
+"""How long the board's bytes are kept for the next driver."""
 A_DRIVER = "a driver"
 
 
@@ -67,20 +66,20 @@ class Guard:
         self._board, self._pty, self._door, self._tell = board, pty, door, tell
         self._talk: Talk | None = None
         self._past: deque[tuple[int, bytes]] = deque()
-        """The board's last bytes."""
+        """The bytes that the board has sent lately, each with its time."""
         self._who = A_DRIVER
         """The driver's name, for people."""
         self._crowded = self._flooded = False
         self._wrote = False
         """True if bytes of this driver were read."""
         self._early = b""
-        """Bytes that were written before it could be seen which program wrote them."""
+        """Bytes that were written before the guard could see which program wrote them."""
         self._empty_ns = monotonic_ns()
         """When no bytes of the driver were last waiting to be read."""
         self._opened_ns = 0
         """When the driver was first seen."""
         self._hasty = ""
-        """What the last driver did wrong, if it closed the port at once; for people."""
+        """What the last driver did wrong if it closed the port right after a motion, for people; otherwise empty."""
         self._told: set[str] = set()
         """Lines that are printed only once for each driver."""
         self._said = ("", "")
@@ -89,7 +88,7 @@ class Guard:
         self._begin()
 
     def turn(self) -> None:
-        """Sleep until there is something to do, and do it. Raises FailstopError, OSError."""
+        """Sleep until there is something to do, and do it. Raises FailstopError or OSError."""
         try:
             self._turn()
         except HungUp:
@@ -98,7 +97,7 @@ class Guard:
     def _turn(self) -> None:
         ready = self._door.wait(self._wait_s(monotonic_ns()))
         now_ns = monotonic_ns()
-        # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
+        # Look for programs that have gone before reading what was written, because a dead driver's bytes move nothing.
         news = self._door.look(ready)
         if not self._door.count:
             self._empty_ns = now_ns
@@ -107,8 +106,8 @@ class Guard:
         if news.any:
             self._recount(news.orphans)
         elif self._pty.master in ready and not self._door.count:
-            # A program that opens the port is seen before it can write, so these bytes are from one that has gone. They
-            # would keep this loop from sleeping, and the next driver would be taken for their writer.
+            # The guard sees a program before the program can write. So these bytes are from one that has gone already.
+            # They would keep this loop from sleeping, and the next driver would be taken for their writer.
             self._pty.clean()
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
@@ -116,7 +115,7 @@ class Guard:
         self._listen()
         self._read(now_ns)
         self._report()
-        # Who wrote may have gone while it was looked who has it open.
+        # The program that wrote may have gone while the guard found out which programs have the port open.
         if not news.any:
             self._drive(now_ns)
             self._forward(now_ns)
@@ -152,7 +151,7 @@ class Guard:
             self._recount(left)
 
     def _begin_again(self) -> None:
-        """Begin again with another pseudo-terminal, because somebody has hung up this one."""
+        """Open a new pseudo-terminal and begin again, because somebody has hung up the old one."""
         self._board.leave(in_order=not (self._talk and self._talk.holds))
         lost = f", so {self._who} has lost it: start it again" if self._talk else ""
         self._talk, self._early, self._wrote = None, b"", False
@@ -160,10 +159,10 @@ class Guard:
         self._tell(f"root hung up the port (vhangup){lost}; another terminal has taken its place")
         self._begin()
 
-    # Who has it open.
+    # Which programs have the port open.
 
     def _recount(self, orphans: Sequence[Opener]) -> None:
-        # A driver may ask at once, and must be answered while it is looked who it is.
+        # A driver may ask something at once, and must get its answer while the guard finds out which program it is.
         new = self._talk is None
         if new:
             self._opened_ns = monotonic_ns()
@@ -173,7 +172,7 @@ class Guard:
         before = self._door.count
         self._door.recount(self._read_meanwhile)
         if before and not self._door.count:
-            # It has gone while it was looked who it is: what it wrote must not wait for the next one.
+            # The program has gone in the meantime. What it wrote must not be taken for bytes of the next one.
             self._end()
         if orphans and self._door.count:
             self._door.hang_up()
@@ -190,7 +189,7 @@ class Guard:
             self._tell(self._crowd())
 
     def _crowd(self) -> str:
-        """The text about too many programs that have the port open, with the remedy."""
+        """The text about too many programs that have the port open, with what to do about it."""
         count, seen = self._door.count, list(self._door.seen.values())
         allows = f"guard.openers allows {self._door.most}"
         if len(seen) == 1 and seen[0].times == count:
@@ -202,7 +201,7 @@ class Guard:
         return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
-        """Answer the bytes that were written before it could be seen which program wrote them. They move nothing."""
+        """Answer bytes that were written before the guard could see which program wrote them. They move nothing."""
         early, self._early = self._early, b""
         if self._talk and early:
             answers = self._talk.asked(early, monotonic_ns())
@@ -212,22 +211,23 @@ class Guard:
                 self._pty.write(answer)
 
     def _conversation(self) -> Talk | None:
-        """A new conversation; None if no program has the port open, or no service was found yet."""
+        """A new conversation. None if no program has the port open, or if no service was found yet."""
         talk = self._new_talk()
         return talk if self._door.count else None
 
     def _new_talk(self) -> Talk | None:
-        """Raises FailstopError for settings that make no conversation."""
+        """A new conversation, even if no program has the port open. None if no service was found yet. Raises
+        FailstopError if the settings don't allow one."""
         settings = self._board.settings
         try:
             language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
-        except ValueError as error:  # of a service that was started again, with other settings
+        except ValueError as error:  # the service was started again with other settings
             raise FailstopError(str(error)) from None
         if settings is None or language is None:
             return None
         self._door.most = int(settings["guard.openers"]) or language.openers
         _, source_ns = settings.sources()[self._board.source]
-        # A driver gets nothing that the board said before it was there.
+        # A driver gets nothing that the board has sent before the driver opened the port.
         self._remember(self._board.heard())
         for t_ns, chunk in self._past:
             if monotonic_ns() - t_ns < language.past_ns:
@@ -235,8 +235,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """Begin a conversation with the program that has the port open, or go on with `talk`. If no program has it
-        open, wait for one."""
+        """Begin a conversation with the program that has the port open, or continue with `talk`. If no program has the
+        port open, wait for one."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
@@ -250,15 +250,16 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """A program has closed the port or died. Nothing shows which of several programs wrote, so the driver counts as
-        ended."""
+        """Handle that a program has closed the port or died. If several programs have it open, nothing shows which one
+        wrote, so the conversation ends in any case."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
-        # A program may open the port twice at its start, as Feetech's SDK does, and ask before the first was seen.
+        # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
+        # guard has seen it.
         self._early = unread if self._door.count and not self._wrote else b""
         self._wrote, self._hasty = False, ""
         if talk:
-            # Of several at once nobody can say which of them drove.
+            # If several programs had the port open, nobody can say which of them drove.
             held = talk.ended(unread, now_ns)
             drove = held or self._door.crowded
             self._board.leave(in_order=not drove)
@@ -275,8 +276,8 @@ class Guard:
             self._tell_hasty(talk)
 
     def _ending(self, *, held: bool) -> str:
-        """The text that a program has ended. `held`: its own newest motion was not zero. Whether the wheels turned then
-        is not known here: motion may have been disabled, or the driver held."""
+        """The text that a program has ended. `held`: True if the last motion that it wrote was not zero. The text does
+        not say whether the wheels turned, because motion may have been disabled, or the driver held."""
         seen = list(map(str, self._door.seen.values()))
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:
@@ -284,15 +285,15 @@ class Guard:
         return f"{who} has ended{' or died while too many programs had the port open' if self._door.crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """Note that the driver wrote a motion and closed the port at once, as a script does that opens the port for
-        each command."""
+        """Note that the driver wrote a motion and then closed the port at once. A script that opens the port for each
+        command does this."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
             f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
         )
         self._tell(self._hasty)
 
-    # What they write, and what they get.
+    # What the programs write, and what they get.
 
     def _remember(self, heard: list[tuple[int, bytes]]) -> None:
         self._past += heard
@@ -307,15 +308,15 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """Read the driver's bytes while something else takes long. A driver that writes without end may have to
-        wait."""
+        """Read and answer the driver's bytes while something else takes long. If a driver writes without end, this
+        stops after the first time, and the rest of its bytes waits."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 
     def _read(self, now_ns: int) -> bool:
-        """Read and answer what the driver has written. Returns True if nothing more waits."""
+        """Read what the driver has written, and answer it. Returns True if nothing more waits to be read."""
         if not self._door.count:
-            return True  # what waits is of a program that has just opened it, which the next turn sees
+            return True  # the bytes are from a program that has just opened the port; the next turn handles them
         since_ns = self._empty_ns
         chunk, empty = self._pty.read()
         if empty:
@@ -330,7 +331,7 @@ class Guard:
         return empty
 
     def _report(self) -> None:
-        """Print what the driver does not get."""
+        """Print what was refused to the driver."""
         if self._talk:
             for refusal in self._talk.refusals:
                 self._tell(f"{self._who}: refused {refusal.what}: {refusal.why}")
@@ -352,11 +353,11 @@ class Guard:
                 self._begin()
 
     def _forward(self, now_ns: int) -> None:
-        """Pass on what the driver wrote for the board that is not motion."""
+        """Pass on what the driver has written for the board that is not motion."""
         if self._talk and not self._door.crowded and (frame := self._talk.frame(now_ns)):
             self._board.forward(frame)
 
-    # What people are told.
+    # The reports for people.
 
     def _say(self, now_ns: int) -> None:
         said = self._words(now_ns)
@@ -380,6 +381,6 @@ class Guard:
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:
-        """End. A driver that drives loses its port, so the service treats it like a driver that has died."""
+        """End the guard. A driver that is driving loses its port, and the service treats that like a driver's death."""
         self._board.leave(in_order=not (self._talk and self._talk.holds))
         self._door.close()

@@ -11,14 +11,14 @@ class Opener(Data):
     pid: int
     name: str
     times: int
-    """How often it has opened the port. Copied descriptors don't count."""
+    """How many times the program has the port open. Copied descriptors don't count."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid})"
 
 
 class HungUp(Exception):
-    """Somebody has hung up the pseudo-terminal, so another one must take its place."""
+    """Somebody has hung up the pseudo-terminal, so the guard must open a new one."""
 
 
 class News:
@@ -26,8 +26,8 @@ class News:
 
     def __init__(self) -> None:
         self.any = False
-        """True if something has happened, so that it is worth finding out which programs have the port open."""
+        """True if anything has happened, so the guard should find out which programs have the port open."""
         self.ended = False
-        """A program that had the port open has closed it, or is dying or dead."""
+        """True if a program that had the port open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []
-        """Programs that have died or closed the port while a child of theirs still has it open."""
+        """Programs that have died or closed the port while one of their children still has it open."""

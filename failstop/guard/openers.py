@@ -1,15 +1,18 @@
-"""Openers: finds the programs that have the pseudo-terminal open, by inotify, and by /proc as far as it shows them.
+"""Openers: finds out which programs have the pseudo-terminal open. It uses inotify, and /proc as far as /proc shows
+other programs.
 
-The kernel merges equal events that follow each other, so two programs that close the terminal at the same moment would
-count as one. Therefore the terminal's directory is watched too: each open and each close then makes two events of two
-different watches, and two equal events never follow each other.
+The kernel merges equal inotify events that directly follow each other. So if two programs closed the terminal at the
+same moment, that would look like one close. To prevent this, the terminal's directory is watched too. Each open and
+each close then makes two events from two different watches, and two equal events never follow each other.
 
-inotify reports openings: each open() makes one, and its close is reported when its last descriptor is closed. A child
-that inherits a descriptor, and dup(), make no new opening, so several descriptors and processes may share one. The
-owner of an opening is the process that made it, as far as that can be seen: of the processes that share it, the one
-that was first seen with it, else the oldest, because a parent is older than its children. Owners are the drivers.
-Children that share an opening may come and go. A child keeps the port open when the owner dies, so each owner is also
-watched by a pidfd.
+inotify reports openings. Each open() is reported once, and the close is reported when the last descriptor of that
+opening is closed. A dup(), or a child that inherits a descriptor, makes no new opening, so several descriptors and
+processes may share one.
+
+The owner of an opening is the process that made it, as far as that can be seen. If several processes share the opening,
+the owner is the one that was first seen with it, or else the oldest, because a parent is older than its children.
+Owners count as the drivers, and children that share an opening may come and go. If an owner dies, a child may keep the
+port open, so each owner is also watched by a pidfd.
 """
 
 from __future__ import annotations
@@ -31,9 +34,9 @@ IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
 """PF_EXITING, one of the flags in /proc/PID/stat."""
 _KILLED = 1 << 9 - 1
-"""SIGKILL, among the signals in /proc/PID/stat that are pending for the main thread."""
+"""The bit for SIGKILL among the signals in /proc/PID/stat that are pending for the main thread."""
 _MACHINE = 0xEFFFFFFC
-"""The machine's first pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
+"""The inode of the machine's first pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
 _EVENT = struct.Struct("iIII")
 _KCMP = {"x86_64": 312, "aarch64": 272}.get(os.uname().machine, -1)
 _KCMP_FILE = 0
@@ -42,7 +45,7 @@ INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
 
 
 class Watch:
-    """Watches the opens and closes of one path."""
+    """Reports when a path is opened or closed."""
 
     def __init__(self, path: str) -> None:
         """Raises OSError."""
@@ -57,7 +60,7 @@ class Watch:
             raise OSError(error, os.strerror(error), path)
 
     def events(self) -> list[bool]:
-        """The events since the last call, in order: True for an open, False for a close."""
+        """The events since the last call, in order. True is an open, False is a close."""
         found: list[bool] = []
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self.fd, 65536):
@@ -85,9 +88,12 @@ class Held(Data):
 def openers(
     path: str, before: Container[int], opened: int, meanwhile: Callable[[], None]
 ) -> tuple[dict[int, Opener], bool]:
-    """The programs other than this one that have opened the terminal and still have it open; and True if there may be
-    others that /proc does not show. `before`, `opened`: as in owners(). If many programs run, this takes longer than a
-    driver waits, so `meanwhile` is called after each of them."""
+    """The programs, except this one, that have opened the terminal and still have it open, by pid. The second value is
+    True if there may be more programs that /proc does not show.
+
+    `before` and `opened`: see owners(). `meanwhile`: called after each process, because if many processes run, this
+    takes longer than a driver waits for an answer.
+    """
     wanted = identity(path)
     held: list[Held] = []
     pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
@@ -109,7 +115,7 @@ def openers(
 
 def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
     """The descriptors with which a process has the terminal open. `wanted`: the terminal's identity(). Raises
-    PermissionError."""
+    PermissionError if this user may not see the process's descriptors."""
     found = []
     try:
         names = os.listdir(f"/proc/{pid}/fd")
@@ -127,9 +133,11 @@ def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
 def owners(
     held: Sequence[Held], before: Container[int], opened: int, same: Callable[[Held, Held], bool | None]
 ) -> dict[int, int]:
-    """The owners of the openings to which these descriptors belong, by pid, with the number of openings of each.
-    `before`: the owners at the last look. `same`: whether two descriptors share an opening; None: that can't be known,
-    and then at most `opened` openings are believed."""
+    """The owners of the openings that these descriptors belong to, as {pid: number of openings}.
+
+    `before`: the pids of the owners at the last look. `same`: returns True if two descriptors share an opening, False
+    if they don't, and None if that can't be known. In the last case at most `opened` openings are assumed.
+    """
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
         answers = [same(each, other) for other in first]
@@ -139,18 +147,18 @@ def owners(
 
 
 def same_opening(one: Held, other: Held) -> bool | None:
-    """True if two descriptors come from the same open(); None if the kernel does not tell."""
+    """True if the two descriptors come from the same open(), False if not. None if the kernel does not say."""
     found: int = _libc.syscall(_KCMP, one.pid, other.pid, _KCMP_FILE, ctypes.c_ulong(one.fd), ctypes.c_ulong(other.fd))
     return None if found < 0 else found == 0
 
 
 def _began(pid: int) -> int:
-    """When a process started, in the kernel's ticks. Raises OSError."""
+    """When the process started, in the kernel's ticks. Raises OSError."""
     return int(_fields(_read(f"/proc/{pid}/stat"))[19])
 
 
 def _all_listed(pids: list[int]) -> bool:
-    """True if /proc lists every process. In a container, or with the mount option hidepid, it does not."""
+    """True if /proc lists every process. It does not in a container, or with the mount option hidepid."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino == _MACHINE and 1 in pids
     except OSError:
@@ -163,22 +171,24 @@ def _may_be(pid: int, name: str, inode: int) -> bool:
     path = os.readlink(f"/proc/{pid}/fd/{name}")
     if path.startswith("/dev/") or not path.startswith("/"):
         return path.startswith("/dev/")
-    # In a container or a unit of its own it may be mounted anywhere. Linux shows the inode since 5.14.
+    # In a container or a unit with its own mounts, the terminal may have any path. Linux shows the inode since 5.14.
     with open(f"/proc/{pid}/fdinfo/{name}", "rb") as file:
         return b"\nino:\t%d\n" % inode in file.read(4096)
 
 
 def identity(path: str) -> tuple[int, int, int]:
-    """Numbers that identify a terminal among all files. Raises OSError."""
+    """Numbers that identify a terminal among all files: device, inode and device type. Raises OSError."""
     found = os.stat(path)
     return found.st_dev, found.st_ino, found.st_rdev
 
 
 def dying(pid: int) -> bool:
-    """True if a process is on its way out. A pending kill counts, because on a busy machine the process may take tens
-    of milliseconds to run again and to begin to end. After that the kernel frees its memory, which takes long for a
-    large process, and then closes its files. If the main thread of several has ended long before the memory is freed,
-    or while the others go on, the other threads decide."""
+    """True if a process is ending, or is gone. A pending SIGKILL counts, because on a busy machine it may take tens of
+    milliseconds until the process runs again and starts to end. After that, the kernel frees the memory, which takes
+    long for a large process, and only then closes the files.
+
+    If the main thread has ended, the other threads decide, because the process may go on without it.
+    """
     try:
         stat = _read(f"/proc/{pid}/stat")
         return all(map(is_ending, _others(pid))) if _fields(stat)[0] == b"Z" else is_ending(stat)
@@ -187,7 +197,7 @@ def dying(pid: int) -> bool:
 
 
 def _others(pid: int) -> Iterator[bytes]:
-    """The stat in /proc of each thread except for the main one. Raises OSError."""
+    """The stat in /proc of each thread of a process, except for the main thread. Raises OSError."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
             with contextlib.suppress(OSError):
@@ -195,14 +205,14 @@ def _others(pid: int) -> Iterator[bytes]:
 
 
 def is_ending(stat: bytes) -> bool:
-    """True if a thread is on its way out, according to its stat in /proc. A signal that ends a process without a core
-    dump becomes a SIGKILL of each thread as soon as it is sent, and a SIGKILL is never withdrawn."""
+    """True if a thread is ending, judging by its stat in /proc. A signal that ends a process without a core dump
+    becomes a SIGKILL of each thread as soon as it is sent, and a SIGKILL is never withdrawn."""
     numbers = _fields(stat)
     return bool(int(numbers[6]) & _EXITING or int(numbers[28]) & _KILLED)
 
 
 def _fields(stat: bytes) -> list[bytes]:
-    """The fields of a stat in /proc, beginning with the state."""
+    """The fields of a stat in /proc, starting with the state."""
     return stat.rpartition(b") ")[2].split()
 
 
@@ -212,7 +222,7 @@ def _read(path: str) -> bytes:
 
 
 def program(pid: int) -> str:
-    """The name of a process for people. For a script it is the name of its file."""
+    """The name of a program, for people. For a script it is the name of the script's file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
             words = os.fsdecode(file.read(4096)).split("\0")

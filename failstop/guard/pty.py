@@ -1,13 +1,17 @@
-"""Pty: the pseudo-terminal that a driver opens instead of the board's port, and the link to it.
+"""Pty: the pseudo-terminal that a driver opens instead of the board's port, and the link that leads to it. The driver's
+end of a pseudo-terminal is called the slave.
 
-Facts of Linux that this depends on:
-- A fresh slave echoes and edits lines, so what the guard writes would come back as the driver's commands. The link is
-  made when that is off.
-- The exclusive mode that a driver sets (TIOCEXCL) outlives the driver, and only a descriptor of the slave can clear it.
-  So the guard holds one, and uses that mode itself to keep out more programs than may have the port open.
-- What a driver wrote before it died can still be read, and what it did not read is still there for the next one.
-- Output that a driver has stopped (TCOOFF) stays stopped for the next one.
-- Root can hang a terminal up (vhangup). Every descriptor of the slave is dead then, the guard's own one too.
+This file depends on these facts about Linux:
+- A new slave echoes and edits lines, so what the guard writes would come back as if it were the driver's commands. So
+  the link is made only after echo and editing were switched off.
+- If a driver sets the exclusive mode (TIOCEXCL), the mode stays set after the driver has ended, and only a descriptor
+of
+  the slave can clear it. So the guard keeps such a descriptor. It also uses this mode itself, to keep more programs
+  from
+  opening the port than may have it open.
+- What a driver wrote before it died can still be read. What it did not read is still there for the next driver.
+- If a driver has stopped the output (TCOOFF), it stays stopped for the next driver.
+- Root can hang up a terminal (vhangup). Every descriptor of the slave is dead then, including the guard's own.
 """
 
 from __future__ import annotations
@@ -29,23 +33,23 @@ if TYPE_CHECKING:
 
 READ_BYTES = 4096
 MOST_READ = 65536
-"""How many bytes of a driver are read at once, so that a driver that writes without end does not keep other work
-waiting."""
+"""How many bytes of a driver are read at once. The limit keeps a driver that writes without end from blocking other
+work."""
 MODE = 0o660
 GROUP = "failstop"
 
 
 class Pty:
-    """The pseudo-terminal, and the link to it at `path`."""
+    """The pseudo-terminal, and the link at `path` that leads to it."""
 
     def __init__(self, path: str) -> None:
-        """Raises FailstopError."""
+        """`path`: where to make the link. Raises FailstopError."""
         self.path = path
         self.master = self.slave = -1
         self.name = ""
         """The path of the slave."""
         self._left = b""
-        """The rest of an answer of which the driver has got the beginning."""
+        """The rest of an answer, if the driver has received only its beginning."""
         self._lock = self._locked()
         try:
             self._open()
@@ -55,8 +59,9 @@ class Pty:
             raise
 
     def _locked(self) -> int:
-        """Take the lock next to the link, because two guards at one path would take it from each other. The lock's file
-        is never removed, because then two guards could each lock a file of that name. Raises FailstopError."""
+        """Lock the file next to the link, because two guards with the same path would take the link from each other.
+        The lock file is never removed. Otherwise two guards could each lock a different file with the same name. Raises
+        FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -80,8 +85,8 @@ class Pty:
         self._link()
 
     def _let_in(self) -> None:
-        """Allow the owner, and the group of the service's clients, to open the pseudo-terminal. If there is no such
-        group, only the owner may."""
+        """Allow the owner, and the group of the service's clients, to open the pseudo-terminal. If that group does not
+        exist, or this user may not use it, only the owner may."""
         import grp  # once
 
         with contextlib.suppress(KeyError, PermissionError):
@@ -91,8 +96,8 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Make the link. An existing link that leads nowhere, or to a terminal, is left from another guard and is
-        replaced. Raises FailstopError."""
+        """Make the link. If a link exists already, another guard has left it, so it is replaced. Raises FailstopError
+        if the path exists and is not a link."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):
@@ -107,19 +112,19 @@ class Pty:
             raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
-        """True if the link still leads here. When a service ends, it may remove its runtime directory with the link in
-        it."""
+        """True if the link still leads to this pseudo-terminal. A service that ends may remove its runtime directory,
+        and the link with it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
             return False
 
     def link_again(self) -> None:
-        """Make the link again. Raises FailstopError."""
+        """Make the link again after it was lost. Raises FailstopError."""
         self._link()
 
     def read(self) -> tuple[bytes, bool]:
-        """Returns what the driver has written, at most MOST_READ bytes, and True if nothing more waits."""
+        """Read what the driver has written. Returns (at most MOST_READ bytes, True if nothing more waits)."""
         found = bytearray()
         while len(found) < MOST_READ:
             try:
@@ -132,7 +137,8 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Give the driver an answer or a frame, whole. False if it does not read, and then this one is lost."""
+        """Give the driver an answer or a frame, whole. Returns False if the driver does not read, so this one is
+        lost."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
         if self._left:
@@ -149,7 +155,7 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Keep further programs out, as far as the kernel allows: root can still open the terminal. Raises HungUp."""
+        """Keep more programs from opening the terminal, or let them. Root can open it in any case. Raises HungUp."""
         with _alive():
             fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
 
@@ -159,17 +165,17 @@ class Pty:
             termios.tcgetattr(self.slave)
 
     def clean(self) -> bytes:
-        """Make the terminal as new for the next driver, after the last one has gone. Returns what the last driver wrote
-        and nobody has read. Raises HungUp."""
+        """Reset the terminal for the next driver, after the last one has gone. Returns what the last driver wrote and
+        nobody has read. Raises HungUp."""
         self._left = b""
         with _alive():
-            # A driver that stopped its output (tcflow, or XOFF) would leave the next one's writes where nobody reads
-            # them.
+            # If a driver has stopped the output (tcflow, or XOFF), what the next driver writes would not arrive here.
             termios.tcflow(self.slave, termios.TCOON)
             tty.setraw(self.slave, termios.TCSANOW)
-            # Not what is on its way here: the next driver may have written already.
+            # Drop only what the last driver did not read. What is on its way here may be from the next driver already.
             termios.tcflush(self.slave, termios.TCIFLUSH)
-        # Only now: while the terminal echoes, what the board said may come back here as if a driver had written it.
+        # Read only after that. As long as the terminal echoes, the board's bytes may come back as if a driver wrote
+        # them.
         found = b""
         while part := self.read()[0]:
             found = (found + part)[-MOST_READ:]
@@ -177,8 +183,8 @@ class Pty:
         return found
 
     def hang_up(self) -> None:
-        """Hang up. Every program that has the terminal open reads the end of file and can't write any more; a new pair
-        takes its place. Raises FailstopError."""
+        """Close the pseudo-terminal and open a new one. Every program that has the old one open reads the end of file,
+        and can't write any more. Raises FailstopError."""
         self._close()
         self._open()
 
@@ -190,7 +196,7 @@ class Pty:
         self._left = b""
 
     def close(self) -> None:
-        """Remove the link, then hang up."""
+        """Remove the link, then close the pseudo-terminal."""
         if self.linked():
             with contextlib.suppress(OSError):
                 os.unlink(self.path)
@@ -200,7 +206,7 @@ class Pty:
 
 @contextlib.contextmanager
 def _alive() -> Iterator[None]:
-    """Raise HungUp if the kernel's error means that somebody has hung up the terminal."""
+    """Raise HungUp if an error inside the `with` block means that somebody has hung up the terminal."""
     try:
         yield
     except (OSError, termios.error) as error:

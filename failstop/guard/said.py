@@ -1,4 +1,5 @@
-"""Said: the words with which the guard reports about itself on the service's screens, and by which doctor finds it."""
+"""Said: the words in the guard's reports about itself. They appear on the service's screens, and doctor recognises the
+guard by them."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:
-    """The path of the guard port in a client's report; empty if that client is not a guard."""
+    """The path of the guard port in a client's report. Empty if the client is not a guard."""
     for words in (DRIVES, WAITS):
         if sees.startswith(words):
             return sees.removeprefix(words)

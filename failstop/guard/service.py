@@ -1,8 +1,8 @@
-"""Service: the guard as a client of the service. It has a client slot under the driver's name, and reads what the board
-has sent.
+"""Service: the guard as a client of the service. The guard has a client slot under the driver's name, and reads what
+the board has sent.
 
-If the service ends, the guard looks for the next one. The driver does not notice that, but its motion moves nothing in
-the meantime.
+If the service ends, the guard looks for the next run of it. The driver does not notice this, but meanwhile its commands
+move nothing.
 """
 
 from __future__ import annotations
@@ -24,36 +24,36 @@ if TYPE_CHECKING:
     from failstop.guard.talk import Command
 
 AGAIN_NS = 500_000_000
-"""How often to look for a service while none is running."""
+"""How often to look for the service while it is not running."""
 SOURCE = "guard"
-"""The driver's commands are given as this source if the settings declare it, else as cmd_vel."""
+"""The source of the driver's commands if the settings have a source with this name. Otherwise the source is cmd_vel."""
 
 
 class Service:
-    """The run of the service that exists now."""
+    """The service that currently runs, or the wait for the next one."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.note = ""
-        """Why there is no service or no slot now; empty if there is one."""
+        """Why there is no service or no client slot at the moment. Empty if both exist."""
         self.settings: Settings | None = None
-        """The settings of the present run, or else of the last one; None if no run was found yet."""
+        """The settings of the current run, or of the last run if none is running. None until a run was found."""
         self.runs = 0
-        """How many runs were found."""
+        """How many runs of the service have been found."""
         self._reader: StateReader | None = None
         self._client: Client | None = None
         self._who: tuple[str, int | None] | None = None
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """True if a service is running. If none is, it is looked for every AGAIN_NS."""
+        """True if the service is running. If it is not, this looks for it, at most every AGAIN_NS."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:
             self._tried_ns = now_ns
             try:
                 reader = StateReader(self.name)
-                if reader.over():  # its memory still exists, because it has died a moment ago
+                if reader.over():  # it has died a moment ago, and its memory still exists
                     raise gone(self.name)
                 settings = Settings(dict(reader.settings()))
                 views = [attach(self.name, which, reader.found) for which in (layout.TELEMETRY, layout.PORT_OWNER)]
@@ -88,15 +88,15 @@ class Service:
                 self.note = str(error)
 
     def join(self, who: str, pid: int | None) -> None:
-        """Speak for this program from now on. `pid` None: for the guard itself."""
+        """From now on, command in the name of this program. `pid`: None if it is the guard itself."""
         self.leave(in_order=True)
         self._who = who, pid
         if self._reader:
             self._connect()
 
     def leave(self, *, in_order: bool) -> None:
-        """Stop speaking for the program. If it was not `in_order`, it died or ended while it drove, and the service
-        acts as the setting gate.driver_death says."""
+        """Stop commanding in the name of the program. `in_order`: False if it died or ended while it drove. The service
+        then acts as the setting gate.driver_death says."""
         self._who = None
         self._leave(in_order=in_order)
 
@@ -106,7 +106,8 @@ class Service:
             client.close(in_order=in_order)
 
     def command(self, command: Command) -> str:
-        """Give a command to the service. Returns a text about what it asks for beyond the limits, or ""."""
+        """Pass a command to the service. Returns a text if the command is beyond the limits, otherwise an empty
+        text."""
         if self._client is None:
             return ""
         velocity = self.scale.velocity(command.speeds, command.steering_rad)
@@ -118,19 +119,19 @@ class Service:
         return self.scale.beyond(velocity)
 
     def forward(self, frame: bytes) -> None:
-        """Give the service a frame for the board that is not motion. The service decides whether it is sent."""
+        """Pass a frame for the board that is not motion to the service. The service decides whether it is sent."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("aux", frame, wake=True)
 
     def say(self, sees: str, wrong: str) -> None:
-        """Report about the driver to people."""
+        """Report to people how the driver is doing. `sees`: what the guard sees. `wrong`: what is wrong, or empty."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("said", sees, wrong)
 
     def block(self) -> Block | None:
-        """Why the wheels may not turn; None if they may."""
+        """Why the wheels may not turn, or None if they may."""
         if self._reader is None:
             return Block.DISABLED
         decided, cause, *_ = self._reader.decided()
@@ -138,7 +139,7 @@ class Service:
         return getattr(answer, "block", None)
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """What the board has sent since the last call: when, and which bytes."""
+        """What the board has sent since the last call, as (when it came, the bytes)."""
         found = []
         for ring in self._received if self._reader else ():
             while entry := ring.next():

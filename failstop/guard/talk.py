@@ -1,11 +1,11 @@
-"""Talk: one driver's conversation, from its first byte to its end. Pure: every time is an argument.
+"""Talk: the conversation with one driver, from its first byte to its end. Pure: every time is an argument.
 
-The board's language decodes what the driver's bytes ask for (failstop/board/driver.py). This file decides what is done
-with it: which motion counts and until when, which answers are still useful, and whether a driver had let go of the
-wheels before it ended.
+A language for each board decodes what the driver's bytes mean (failstop/board/driver.py). This file decides what to do
+about it: which motion counts and for how long, which answers are still useful, and whether a driver had commanded zero
+before it ended.
 
-A motion counts from the last moment at which no bytes of the driver were waiting. So an old motion is not taken for a
-new one after the guard was held up, or if a driver writes faster than the guard reads.
+A motion counts from the last moment at which no bytes of the driver were waiting to be read. So an old motion is not
+taken for a new one if the guard was held up, or if a driver writes faster than the guard reads.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ if TYPE_CHECKING:
 RENEW_NS = 100_000_000
 """If a motion counts for longer than the service lets a command count, the command is repeated at least this often."""
 FRAME_EVERY_NS = 20_000_000
-"""The shortest time between two frames that are not motion, because the board's line is needed for motion."""
+"""The shortest time between two frames that are not motion, because motion needs the board's line."""
 MOST_FRAMES = 8
-"""How many frames that are not motion may wait. Further ones are dropped."""
+"""How many frames that are not motion may wait. More of them are dropped."""
 MOST_REFUSALS = 32
-"""How many different refusals of one driver are reported."""
+"""How many different refusals are reported for one driver."""
 LATE_FOR_NS = 3_000_000_000
-"""A driver that ends within this time after a late answer may have ended because of it."""
+"""If a driver ends within this time after it got an answer too late, the late answer may be the reason."""
 NOT_WHEELS = "a motion that is not valid"
 
 
 class Command(Data):
-    """A command for the service: the speeds by wire id in the board's unit, and the moment from which it counts."""
+    """A command for the service: the wheels' speeds by wire id in the board's unit, and the time from which it
+    counts."""
 
     speeds: tuple[float, ...]
     t_ns: int
@@ -43,16 +44,16 @@ class Command(Data):
 
     @property
     def moves(self) -> bool:
-        """True if it asks for a speed other than zero."""
+        """True if it commands a speed other than zero."""
         return any(self.speeds)
 
 
 class Talk:
-    """What one driver has written, and what must be commanded for it."""
+    """What one driver has written, and what must be commanded because of it."""
 
     def __init__(self, language: DriverLanguage, wheels: int, timeout_ns: int, source_ns: int) -> None:
-        """`wheels`: how many speeds a motion has; `timeout_ns`: for how long the driver's last motion counts (the
-        setting guard.timeout_s); `source_ns`: for how long the service lets a command count."""
+        """`wheels`: how many speeds a motion has. `timeout_ns`: how long the driver's last motion counts (the setting
+        guard.timeout_s). `source_ns`: how long the service lets a command count."""
         self._language = language
         self._wheels = wheels
         self.timeout_ns, self._source_ns = timeout_ns, source_ns
@@ -60,46 +61,46 @@ class Talk:
         self._speeds: tuple[float, ...] | None = None
         self._steering_rad: float | None = None
         self._lets_go = True
-        """True if the driver's own newest motion was zero, or it has written none. The stop after a refusal does not
-        count as its own."""
+        """True if the newest motion that the driver itself has written is zero, or if it has written none. A stop that
+        failstop has put in place of a refused motion does not count."""
         self.refused = ""
-        """Why the driver's newest motion was replaced by a stop, for people; empty if it was not."""
+        """Why the driver's newest motion was replaced by a stop, for people. Empty if it was not replaced."""
         self._written_ns = 0
         """The earliest time at which the newest motion may have been written."""
         self._late_ns = self._late_at_ns = 0
-        """How late the newest late answer was at most, and when it was given."""
+        """By how much the last late answer was late at most, and when it was given."""
         self._sent_ns: int | None = None
-        """The moment from which the last command counted that was given to the service; None: this motion was not given
-        yet."""
+        """The time from which the last command to the service counted. None if this motion was not commanded yet."""
         self._frames: dict[str, bytes] = {}
-        """Frames for the board that are not motion, by kind, in order."""
+        """Frames for the board that are not motion, by kind, in the order in which they came."""
         self._framed_ns = -FRAME_EVERY_NS
         self._known: set[str] = set()
         self.refusals: list[DriverRefusal] = []
-        """New refusals, for people. The shell reports them and empties the list."""
+        """New refusals, for people. The guard's loop reports them and empties the list."""
 
     def resume(self, before: Talk) -> None:
-        """Go on with the driver of an earlier conversation, after the service was started again."""
+        """Continue the conversation `before` with the same driver, after the service was started again."""
         if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
             resume(before._language)
 
     @property
     def motion(self) -> tuple[float, ...] | None:
-        """The newest motion; None if the driver has written none."""
+        """The newest motion, or None if the driver has written none."""
         return self._speeds
 
     @property
     def drives(self) -> bool:
-        """True if the newest motion, however old, asks for a speed other than zero."""
+        """True if the newest motion has a speed other than zero, no matter how old it is."""
         return self._speeds is not None and any(self._speeds)
 
     def silent_ns(self, now_ns: int) -> int:
-        """For how long the driver's last motion has been too old, although it asks for a speed; 0 if it still
+        """How long the driver's last motion has been too old, if it has a speed other than zero. 0 if it still
         counts."""
         return max(0, now_ns - self._written_ns - self.timeout_ns) if self.drives else 0
 
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
-        """Handle bytes that the driver wrote after `since_ns` and by `now_ns`. Returns the answers to them."""
+        """Handle bytes that the driver wrote after `since_ns` and not later than `now_ns`. Returns the answers to
+        them."""
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
         motions = [row for row in rows if isinstance(row, DriverMotion)]
@@ -122,22 +123,22 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """How late an answer was at most that the driver no longer waited for, and for how long it waits; None if there
-        was none in the last seconds."""
+        """If an answer came too late in the last seconds, returns how late it was at most and how long the driver waits
+        for an answer. Otherwise None."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
 
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
-        """Handle bytes that may be from this driver or from the one before. Returns the answers to them. None: they
-        would move a wheel, so none of them counts, and another conversation must begin."""
+        """Handle bytes that may be from this driver or from the one before it. Returns the answers to them. Returns
+        None if they would move a wheel. Then none of the bytes counts, and the caller must begin a new conversation."""
         rows = self._language.wrote(chunk, now_ns)
         if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):
             return None
         return [row.data for row in rows if isinstance(row, DriverAnswer)]
 
     def frame(self, now_ns: int) -> bytes:
-        """A frame for the board that is not motion and is due now; empty if there is none."""
+        """The next frame for the board that is not motion, if one is due now. Otherwise empty."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
             return b""
         self._framed_ns = now_ns
@@ -151,21 +152,21 @@ class Talk:
         self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
 
     def refuse(self, what: str, why: str) -> None:
-        """Refuse something that the driver has asked for, and report it once."""
+        """Refuse something that the driver has written, and report it once."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
             self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Handle bytes from the board. Returns what the driver gets of them; each must be written whole."""
+        """Handle bytes from the board. Returns what must be passed to the driver. Each item must be written whole."""
         return self._language.heard(chunk, now_ns)
 
     def command(self, now_ns: int) -> Command | None:
-        """The command to give to the service now; None if the last one is still right.
+        """The command to give to the service now, or None if the last one is still right.
 
-        A command counts for the service's own timeout, so a motion that may count for longer is commanded again and
-        again. The last of these commands is dated so that it ends together with the driver's timeout. So the wheels
-        stop in time even if the guard hangs.
+        The service lets a command count only for its own timeout. So if a motion may count for longer, it is commanded
+        again and again. The last of these commands is dated back, so that it ends together with the driver's timeout.
+        So the wheels stop in time even if the guard hangs.
         """
         if self._speeds is None:
             return None
@@ -173,7 +174,7 @@ class Talk:
         t_ns = min(now_ns, last_ns)
         if sent_ns is not None:
             early = t_ns < last_ns and t_ns - sent_ns < self._renew_ns
-            # After a stall of its own the guard renews nothing: to the service it would look like a new command.
+            # If the guard itself was held up, it renews nothing, because the service would take it for a new command.
             if t_ns <= sent_ns or early or now_ns - sent_ns > self._source_ns:
                 return None
         self._sent_ns = t_ns
@@ -181,11 +182,11 @@ class Talk:
 
     @property
     def _last_ns(self) -> int:
-        """The moment from which the last command of this motion counts."""
+        """The time from which the last command for this motion counts."""
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """When command() or frame() will have something to send if the driver writes nothing more; None: never."""
+        """When command() or frame() will have something to send if the driver writes nothing more. None if never."""
         motion_ns = self._motion_due_ns()
         if not self._frames:
             return motion_ns
@@ -200,16 +201,16 @@ class Talk:
         return min(self._sent_ns + self._renew_ns, self._last_ns) if self._sent_ns < self._last_ns else None
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
-        """The driver has gone; `unread`: its bytes that were not read yet. Returns True if it ended or died while
-        driving. A motion in the unread bytes is not carried out, but a zero in them shows that the driver had let
-        go."""
+        """End the conversation, because the driver has gone. `unread`: its bytes that were not read yet. Returns True
+        if the driver ended or died while driving. A motion in the unread bytes is not carried out, but a zero in them
+        shows that the driver had stopped the wheels itself."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
     @property
     def holds(self) -> bool:
-        """True if the driver's own newest motion asks for a speed, even if failstop has stopped the wheels since
-        then."""
+        """True if the newest motion that the driver itself has written is not zero, even if failstop has stopped the
+        wheels since then."""
         return not self._lets_go
 
     def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:
