@@ -1,7 +1,7 @@
 """Loop: waits for descriptors or for the next timer, with time-outs exact to the microsecond.
 
-A loop wakes up for every timer that it made. The code that set a timer checks itself whether it is due. If it is due
-and that code neither pops it nor sets it again, the loop never sleeps.
+A loop wakes up for every timer that it made. The code that set a timer checks whether it is due. As long as a timer is
+due and that code neither pops it nor sets it again, the loop does not sleep.
 
 `epoll.poll` can only wait for whole milliseconds. `select` is more exact, but it can't watch a port for its hang-up
 alone. So the descriptors are in an epoll set, and `select` waits for that set if a timer is near. If no timer is near,

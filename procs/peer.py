@@ -68,8 +68,8 @@ class Parent:
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit, because the repeats have been sent. If the port still holds bytes of them, that
-        is a little later, but at most LATEST_NS after the death."""
+        """True when it is time to exit, because the repeats have been sent. If the port still holds some of their
+        bytes, the exit is delayed, but not beyond LATEST_NS after the supervisor's death."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):

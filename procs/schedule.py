@@ -21,14 +21,14 @@ PING_GAP_NS = 50_000_000
 
 QUICK = 10
 """How many pings are sent in quick succession at first. Telemetry, which reads the answers, takes some tenths of a
-second to start. Until it has read one, nobody knows whether the board hears."""
+second to start. Until it has read an answer, nobody knows whether the board hears."""
 AGAIN_AFTER_STOP = 4
 """How many more pings follow the first one after a stop. If telemetry died, answers from before the stop may be lost,
 so the first answer after it may belong to an older ping. The further pings show which ping was answered."""
 
 
 class Repeats:
-    """When to repeat the last stop, and to send zeros after that. `due`: the timer for the next one."""
+    """When to repeat the last stop, and to send zeros after that. `due`: the timer for the next frame."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is

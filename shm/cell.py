@@ -207,8 +207,8 @@ class RingReader(_Cells):
         its seq is below n, or never used  -> entry n is not published yet
         its seq is above n                 -> the writer has lapped the reader, so continue with the oldest entry that
                                               can still be whole
-        it is not whole -> entry n is being written, or it is damaged. If a later entry is whole, n is
-                                              gone for good, so continue with the oldest such entry
+        it is not whole                    -> entry n is being written, or it is damaged. If a later entry is whole, n
+                                              is gone for good, so continue with the oldest such entry
     """
 
     def __init__(

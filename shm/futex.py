@@ -52,8 +52,8 @@ _libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
 
 
 class Futex:
-    """A futex: the word at the start of a 64-byte line of a file. If it is held together with the lines that follow it,
-    they belong to the same holder.
+    """A futex: the word at the start of a 64-byte line of a file. One thread can hold several futexes at once, in lines
+    that follow each other.
 
     Only the kernel uses the mapping, so a truncated file causes no SIGBUS in this process.
     """
@@ -72,9 +72,9 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Use a duplicate of the caller's descriptor from now on. Call it at most once. Otherwise the caller might
-        close the descriptor while a thread is about to hold this futex, and the thread would write to the next file
-        that gets the same number. Raises OSError."""
+        """From now on use a duplicate of the caller's descriptor, so that the caller may close its own at any time.
+        Call it at most once. Without the duplicate, a thread that is about to hold this futex could write to the next
+        file that gets the closed number. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 

@@ -49,9 +49,9 @@ NEXT = {
     FENCED: {BEATS: FENCED, TERMINATED: DEAD},
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""The state that follows each state after each event. An event without an entry can't happen in that state. If it
-happens anyway, the state stays as it is, and the robot is stopped because of the defect. DOWN has an entry for STARTED,
-because a gate that is down is started again after a minute."""
+"""For each state of a process, the next state after each event. An event without an entry can't happen in that state.
+If it happens anyway, the state stays as it is, and the robot is stopped because of the defect. DOWN has an entry for
+STARTED, because a gate that is down is started again after a minute."""
 ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
@@ -90,7 +90,7 @@ class Child:
     """One process of the process table, with its current state."""
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
-        """`row`: the process's row in the table. `beat`: its heartbeat. `restart`: the timer for its restart. Its
+        """`row`: the process's row in the table. `beat`: its heartbeat. `restart`: the timer for its restart. The
         deadline is at least as long as the lease, because a machine that is too slow for the lease is also too slow for
         a shorter deadline."""
         self.row = row

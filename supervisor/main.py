@@ -198,10 +198,10 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """The stop that is needed if the machine held up the supervisor itself while motion was enabled, because nobody
-        watched the other processes then. Empty if no stop is needed. No process is killed for a silence that the
-        supervisor did not observe. `suspended_ns`: how long a signal suspended the supervisor since its last turn, or
-        0."""
+        """Check whether the machine has held up the supervisor itself, so that nobody watched the other processes.
+        Returns a stop for it if motion was enabled, otherwise an empty list. No process is killed for a silence that
+        the supervisor did not observe. `suspended_ns`: how long a signal suspended the supervisor since its last turn,
+        or 0."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:

@@ -256,7 +256,7 @@ class PortHandover:
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Send the port to those of these processes that run. A process that is not started yet will inherit the port.
+        """Send the port to each of these processes that runs. A process that is not started yet will inherit the port.
         If it were sent one too, the descriptor would stay open in its queue."""
         for name in names:
             self._shared_ns = now_ns

@@ -153,8 +153,8 @@ class ProcessTable:
             self._ring_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
-        """Start a process with its block of futexes and its descriptors. A descriptor that is not open is passed as -1;
-        the port is among them, with its number. Returns the pid. Raises OSError."""
+        """Start a process. It gets its block of futexes, its descriptors (-1 for one that is not open), and the port's
+        number. Returns the pid. Raises OSError."""
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}

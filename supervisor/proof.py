@@ -45,8 +45,8 @@ samples plus the time for which the verdict is held (procs/telemetry/still.py)."
 JUDGED_WITHIN_NS = 500_000_000
 """A verdict older than this does not count. Either the IMU or telemetry is silent then."""
 LEAST_NS = 1_000_000
-"""The shortest time until the wheels were still that is shown. 0 would mean that they were already still before the
-stop."""
+"""The shortest time that is shown for wheels that came to rest after a stop. 0 would mean that they were already still
+before it."""
 HEEDS_NS = 200_000_000
 """If the board obeys motion, it reports so within its echo time. If it still reports zero this long after that, it does
 not hear."""
@@ -102,8 +102,8 @@ class Proof:
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
         """Record the verdict of the IMU, or of the board's reports, about the wheels. Returns True if the wheels still
-        move although they should be still by now, and again each time that period has passed once more. The caller must
-        then write the stop again.
+        move although they should be still by now. Later it returns True again each time the same period has passed. The
+        caller must then write the stop again.
 
         `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
         0 if there has been none.
@@ -129,7 +129,7 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """True, once, when nothing more will be known about the stop, so its outcome must be logged now."""
+        """Returns True once, when nothing more will be known about the stop, so its outcome must be logged now."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -340,7 +340,7 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """True, once, if the device at a port that was opened again should have answered by now and has not."""
+        """Returns True once, if the device at a port that was opened again should have answered by now and has not."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False

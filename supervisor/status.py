@@ -61,8 +61,8 @@ LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
 LEASE_WITHOUT_S = 0.2
 """The lease without real-time rights, s, if the settings don't choose one. It must stay below 0.25 s, which is how long
-the stopper lets the port owner be silent and the supervisor lets the gate be silent. So a hang is still noticed in the
-same order."""
+the stopper lets the port owner be silent and the supervisor lets the gate be silent. So the processes still react to a
+hang in the same order."""
 OF_A_TIMEOUT = 0.9
 """The lease is at most this share of the shortest command timeout. A timeout must be longer than the lease."""
 

@@ -269,8 +269,8 @@ class StopTracker:
 
     def _run_command(self) -> None:
         """Run the user's command (still.command). It runs once per stop, and may run again after the wheels were seen
-        still or a person has reset. If the command of an earlier stop still runs, it hangs; it is killed, and the
-        command runs again for this stop."""
+        still or a person has reset. If the command of an earlier stop has not ended yet, it hangs, so it is killed
+        first."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)

@@ -191,6 +191,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """The result of a check as text. Only an empty text lets a frame pass, so None is a fault too. It is returned by a
-    check that forgot its return value."""
+    """The result of a check as text. Only an empty text lets a frame pass. None counts as a fault, because a check that
+    forgets to return a text returns None."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

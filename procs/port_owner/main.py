@@ -196,7 +196,7 @@ class PortOwner:
             return
         self.wire.burst()
         written_ns = monotonic_ns()
-        # The supervisor's death first, whichever process reported its own first: other deaths may follow from it.
+        # Handle the supervisor's death first, even if others were reported earlier, because they may follow from it.
         if orphaned or (not self._parent.orphaned_ns and self._parent.life.dead()):
             self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
             self._parent.drop(now_ns)
@@ -248,7 +248,7 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop, once, if the port does not drain. This must be checked before anything new is written, because new
+        """Stop once if the port does not drain. This must be checked before anything new is written, because new
         bytes have not had time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:

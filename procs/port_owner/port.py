@@ -152,8 +152,8 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch the port for three things: its loss; room for more bytes, while the kernel has not taken everything;
-        and the board's bytes, unless telemetry reads them (`heard`).
+        """Watch the port for its loss. Also watch for room to write while the kernel has not taken everything, and for
+        the board's bytes unless telemetry reads them (`heard`).
 
         EDGE is needed although each read returns all bytes. Without it, the kernel looks for more bytes at the next
         wait, and this process sleeps until the kernel's worker, which has ordinary priority, is done (n_tty_poll). So

@@ -3,7 +3,7 @@ and, if it is held for long, requests a reset. This file also has the buzzer's s
 
 locked --MODE--> drive --MODE--> locked ...     two changes are at least the lockout time apart
 any --a latched stop, any other button--> locked     the mode stays locked while the stop is latched
-any --a pushed stick, but all frames are the same--> locked a receiver may repeat the last frame of a pad that is gone
+any --a pushed stick in frames that never change--> locked     a receiver may repeat the last frame of a lost pad
 """
 
 from __future__ import annotations
