@@ -42,7 +42,8 @@ With 100 ms, a tick that comes a little early would leave it to the next tick, a
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
-"""The records of a client in the order in which they are read. Records that may forbid a command come before it."""
+"""The records of a client in the order in which they are read. Records that may forbid a command come before the
+command."""
 MOST_RINGS = 20
 """How many wake-ups by clients are handled between two ticks. This is one per millisecond, which is more than eight
 clients that command at 100 Hz need."""

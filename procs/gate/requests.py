@@ -78,10 +78,12 @@ class Requests:
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Why the request is refused before anything else is checked, or None. There are three reasons: it could start
-        motion and motion was stopped or a later request replaced it; its client no longer waits for a reply; or it is a
-        reset by someone who has not seen the newest stop. `stopped_ns` and `last`: when the last stop was, and its
-        cause."""
+        """Why the request is refused before anything else is checked, or None. A request that could start motion is
+        refused if motion was stopped since it was made, or if a later request replaced it. Any request is refused if
+        its client no longer waits for a reply. A reset is refused if the person has not seen the newest stop.
+
+        `stopped_ns` and `last`: when the last stop was, and its cause.
+        """
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:

@@ -143,8 +143,7 @@ class GyroBias:
         if self.tracking and 0 < gap_ns <= LONGEST_GAP_NS:
             dt_s = gap_ns * 1e-9
             # Until the average covers the time constant, each reading counts as much as each one before it. Otherwise
-            # it
-            # would take three time constants to forget 3 s of noise, and the heading would be off by 20 s times the
+            # it would take three time constants to forget 3 s of noise, and the heading would be off by 20 s times the
             # error in those readings.
             self._averaged_s = min(self._averaged_s + dt_s, self._tau_s)
             step = min(dt_s / self._averaged_s, 1.0)

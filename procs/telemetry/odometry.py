@@ -31,9 +31,9 @@ in it."""
 MEAN_NS = 200_000_000
 """Speeds from a board that counts are averaged over this time, because a single count in 50 ms may mean 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
-"""How exactly a wheel rolls, by layout: the standard deviation of its distance after 1 m, in m. It grows with the root
-of the distance. Rollers slip: on a carpet, a mecanum base that goes sideways moves only 0.765 of the distance that its
-wheels make."""
+"""How exactly a wheel rolls, by layout: the standard deviation of its distance after 1 m, in m. It grows with the
+square root of the distance. Rollers slip: on a carpet, a mecanum base that goes sideways moves only 0.765 of the
+distance that its wheels make."""
 DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 

@@ -41,7 +41,8 @@ OFF_MS = 100
 LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
 """Two long low beeps: a stop was latched."""
 MODE_SOUNDS = ((1500, 100, OFF_MS, 1), (2500, 100, OFF_MS, 2), (2500, 100, OFF_MS, 3))
-"""The sound for each mode of the gamepad. One short beep means locked, two short high beeps drive, and three joint."""
+"""The sound for each mode of the gamepad. One short beep means locked, two short high beeps mean drive, and three mean
+joint."""
 TUCK_SOUND = (2000, 50, OFF_MS, 4)
 """Four short beeps: the arm is about to move by itself."""
 
@@ -182,9 +183,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """True, once per hold, if MODE was held long enough and a stop was latched during all that time. If the hold
-        began before the stop, only the time since the stop counts, because the person could not know about the stop
-        before. No other button may be pressed."""
+        """Returns True once per hold, if MODE was held long enough and a stop was latched during all that time. If the
+        hold began before the stop, only the time since the stop counts, because the person could not know about the
+        stop before. No other button may be pressed."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns

@@ -7,9 +7,8 @@ signs of a restart:
 - The board sends a text that it prints only when it starts.
 - Its counters fall to zero, from further away than its wheels can turn in that time.
 - It obeys zero although the newest command is motion, which it obeyed before.
-- Its reports pause for longer than they normally do. An adapter that stalls delivers the missing reports afterwards,
-all
-  at once. So the reports are counted before the pause is taken for a restart.
+- Its reports pause for longer than they normally do. An adapter that stalls delivers the missing reports afterwards and
+  all at once, so they are counted before the pause is taken for a restart.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ UNFOLLOWED_NS = 150_000_000
 """If follow() was not called for longer than this, the commands are not known, so nobody can say what the wheels should
 do."""
 SLOWS = 0.92
-"""The time is divided into two halves. If a wheel turns in the second half at less than this share of its speed in the
-first half, it is slowing down. It then only rolls out, and has not run away."""
+"""The time in which a wheel is too fast is divided into two halves. If the wheel turns in the second half at less than
+this share of its speed in the first half, it is slowing down. It then only rolls out, and has not run away."""
 HELD_BACK_NS = 20_000_000
 """A serial adapter may deliver a report late by this much (its latency timer). If the report is a position, the delay
 looks like a higher speed."""
@@ -136,8 +136,8 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """The sum of speed times weight and the sum of the weights, for the first half of the time and then for the
-        second half."""
+        """The sum of speed times weight and the sum of the weights, for the first half of the time in which the wheel
+        is too fast, and then for the second half."""
         self.stand_noted = False
         """True if it was already reported that the wheel stands still."""
 

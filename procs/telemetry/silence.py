@@ -22,14 +22,15 @@ DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the description gives no pause, the pauses are measured for this many ns, and at least this many pauses. Until
-then the board never counts as silent."""
+"""If the description gives no pause, the pauses are measured for at least SEEN_FOR_NS, and until SEEN_PAUSES of them
+have come. Until then the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""After the measurement, a pause is silence if it is both this many times the mean pause and this many times the
-longest one. While the machine is held up, pauses look longer than they are, so each later measurement may shorten the
-limit."""
+"""After the measurement, a pause is silence if it is at least MEAN_PAUSES times as long as the mean pause and
+LONGEST_PAUSES times as long as the longest one. While the machine is held up, pauses look longer than they are, so each
+later measurement may shorten the limit."""
 NOISE_NS = 2_000_000_000
-"""Unreadable bytes count as a sign of life for this long. A few garbled reports in a row are no silence."""
+"""Unreadable bytes count as a sign of life for this long after the last readable report. A few garbled reports in a row
+are no silence."""
 
 
 class Silence:

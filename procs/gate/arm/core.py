@@ -155,9 +155,10 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Forget all goals, like drop(), if the caller writes a stop in any case. This also ends switching off the
-        torque, and the stream of the session that moves the arm, unless that session is `but`. An ended stream counts
-        again after a pause."""
+        """Forget all goals, like drop(). Call it if a stop is written in any case, because that also ends moves whose
+        goals are forgotten already. If a stream of goals moves the arm, it is ended, unless it comes from the session
+        `but`, and counts again after a pause. Servos that still have torque keep it.
+        """
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
