@@ -5,10 +5,8 @@ This file depends on these facts about Linux:
 - A new slave echoes and edits lines, so what the guard writes would come back as if it were the driver's commands. So
   the link is made only after echo and editing were switched off.
 - If a driver sets the exclusive mode (TIOCEXCL), the mode stays set after the driver has ended, and only a descriptor
-of
-  the slave can clear it. So the guard keeps such a descriptor. It also uses this mode itself, to keep more programs
-  from
-  opening the port than may have it open.
+  of the slave can clear it. So the guard keeps such a descriptor. It also uses this mode itself, so that no more
+  programs can open the port than may have it open.
 - What a driver wrote before it died can still be read. What it did not read is still there for the next driver.
 - If a driver has stopped the output (TCOOFF), it stays stopped for the next driver.
 - Root can hang up a terminal (vhangup). Every descriptor of the slave is dead then, including the guard's own.
