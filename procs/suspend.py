@@ -1,4 +1,4 @@
-"""Suspend: notices that the machine has slept. CLOCK_MONOTONIC stands still during a sleep, so frames that were made
+"""Suspend: notices that the machine has slept. CLOCK_MONOTONIC stops during a sleep, so frames that were made
 before the sleep look younger than they are."""
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ class Lifeline:
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True once the process has died. It can be relied on before the process's death has any other effect. It takes
-        two system calls and never blocks."""
+        """True once the process has died. It is already true when the death has had no other effect yet. It takes two
+        system calls and never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:

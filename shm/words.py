@@ -31,8 +31,8 @@ class Word:
 
 
 class Barrier:
-    """A full memory fence. Other threads see everything that this thread loaded or stored before the barrier ahead of
-    everything after it. Only one thread may call the same barrier. A call takes 0.2 us and no memory.
+    """A full memory fence. Other threads see this thread's loads and stores from before the barrier before they see
+    those from after it. Each thread needs a barrier of its own. A call takes 0.2 us and no memory.
 
     It is needed because words and cells are plain loads and stores. AArch64 may reorder them, and x86-64 lets a load
     pass an earlier store. No library gives Python a fence, so this class makes one from a lock. Releasing a lock is a

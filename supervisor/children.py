@@ -142,8 +142,8 @@ class Child:
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """Record a death and return how long to wait before the restart, ns. After the first death in the time window
-        the process restarts at once. After each later one the wait doubles. Too many deaths return None: the process
-        stays down and the robot stopped until a reset, so the process doesn't crash in a loop."""
+        the process restarts at once. After each later one the wait doubles. Returns None after too many deaths. Then
+        the process stays down and the robot stopped until a reset, so that the process doesn't crash in a loop."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)

@@ -239,8 +239,8 @@ class Supervisor:
         return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """All stops for the news of this wake-up: causes that other processes noticed, and deaths. `burst_ns`: when the
-        burst for the port owner's death was written, or 0."""
+        """All stops that are needed after this wake-up, for causes that other processes noticed and for deaths.
+        `burst_ns`: when the burst for the port owner's death was written, or 0."""
         stops = []
         for process, ring in self._stops.items():
             while entry := ring.next():
@@ -273,8 +273,8 @@ class Supervisor:
         self._run.bells[layout.TELEMETRY].ring()  # so that it reads the board's answer
 
     def _record_answer(self, now_ns: int) -> None:
-        """Record that the port owner answered a raised epoch with a stop. If it has not in time, write the burst
-        here."""
+        """Record that the port owner has answered a raised epoch with a stop. If it has not answered in time, write the
+        burst here."""
         stop = self._unanswered
         if stop is None:
             return

@@ -198,7 +198,7 @@ class PortHandover:
 
     @property
     def misplaced(self) -> bool:
-        """True if the open device is not the board, although the board is present."""
+        """True if the open device is not the board, and the board is connected at another port."""
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
 
     def believe(self) -> None:

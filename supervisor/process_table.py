@@ -33,8 +33,8 @@ class ProcessTable:
     (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Also make the kernel report this thread's own death early, on the supervisor's block of futexes. `advice`:
-        what people can do if the machine does not run a process."""
+        """From now on the kernel reports the death of this thread early, through the supervisor's block of futexes.
+        `advice`: what people can do if the machine does not run a process."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}

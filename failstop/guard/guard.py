@@ -75,7 +75,7 @@ class Guard:
         self._early = b""
         """Bytes that were written before the guard could see which program wrote them."""
         self._empty_ns = monotonic_ns()
-        """When no bytes of the driver were last waiting to be read."""
+        """The last time at which no bytes of the driver were waiting to be read."""
         self._opened_ns = 0
         """When the driver was first seen."""
         self._hasty = ""

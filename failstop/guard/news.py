@@ -22,7 +22,7 @@ class HungUp(Exception):
 
 
 class News:
-    """What has happened at the door since the last look."""
+    """What a Door has noticed since its last look."""
 
     def __init__(self) -> None:
         self.any = False

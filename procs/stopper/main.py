@@ -1,9 +1,9 @@
 """The stopper's loop. It waits until the port owner or the supervisor dies, or the port owner falls silent. Then it
 writes the burst on its own descriptor of the port, and repeats zeros until a new port owner runs.
 
-If the port owner is silent for too long, the stopper fences it: it kills it with SIGKILL and writes the burst. It
-writes the burst again when the process is gone, because the dying process may still have written one frame after the
-first burst. A supervisor that works does all this sooner.
+If the port owner is silent for too long, the stopper fences it, which means that it sends SIGKILL and writes the burst.
+When the process is gone, the stopper writes the burst again, because the port owner may have written one last frame
+after the first burst. A supervisor that works does all this sooner.
 
 While the port owner is alive, all stops go through it, because only it can order them against motion frames. So when
 the supervisor dies, the stopper gives the port owner a short time to write the stop first.

@@ -1,10 +1,11 @@
 """The gate's decisions about the arm. Pure: the time and everything that has happened are arguments; frames for the
 servos and texts are results.
 
-Unless the board can move arm and wheels together, the arm moves only while motion is disabled and no stop is latched. A
-stop or an enable takes the arm from the client that moves it. A movement is streamed: each joint gets one short move of
-arm.period_s after another, and each frame has the moves of a few servos. So if the gate dies, the arm stops at the end
-of its last move. A joint that was stopped before its goal is read again before it moves.
+The arm moves only while motion is disabled and no stop is latched. On a board that can move arm and wheels together, it
+may also move while motion is enabled. A stop takes the arm from the client that moves it, and so does an enable. A
+movement is streamed: each joint gets one short move of arm.period_s after another, and each frame has the moves of a
+few servos. So if the gate dies, the arm stops at the end of its last move. A joint that was stopped before its goal is
+read again before it moves.
 """
 
 from __future__ import annotations
