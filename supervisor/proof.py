@@ -84,7 +84,7 @@ class Proof:
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """Answers from before this time don't count, and the time limits for the proof begin here."""
+        """The time from which the board's answers count, and from which the time limits for the proof run."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
         """Record when a stop was written that had to wait until the port came back."""

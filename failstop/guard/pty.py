@@ -94,8 +94,8 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Make the link. If a link exists already, another guard has left it, so it is replaced. Raises FailstopError
-        if the path exists and is not a link."""
+        """Make the link. A link that exists already is replaced, wherever it leads, because an earlier guard may have
+        left it. Raises FailstopError if the path exists and is not a link."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):

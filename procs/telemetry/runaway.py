@@ -55,7 +55,7 @@ class Margins(Data):
     share: float
     """A share of the commanded speed, by which the wheel may be faster."""
     rim_mps: float
-    """In addition, this speed at the wheel's rim, in either direction."""
+    """A speed at the wheel's rim, by which the wheel may also differ, in either direction."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
@@ -182,7 +182,7 @@ class RunawayJudge:
         self._limits = limits
         self._wheels = {wheel: _Wheel() for wheel in wheels}
         self._told: deque[tuple[int, Told]] = deque()
-        """The commanded speeds, each with the time since when they count. The oldest entry is older than any report
+        """The commanded speeds, each with the time from which they count. The oldest entry is older than any report
         that may still come."""
         self._followed_ns = 0
         self._read_ns = 0
