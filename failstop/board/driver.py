@@ -1,19 +1,19 @@
-"""Driver languages: what a driver program may write to a board, and what it gets back, for the guard port.
+"""Driver languages: what a driver program may write to a board through the guard port, and what it gets back.
 
-A driver is somebody else's program that was written for the bare board. The guard port (failstop/guard) gives it a
-pseudo-terminal that behaves like the board. How the board behaves is in the board's own folder, as a DriverLanguage: it
-takes the driver's bytes and returns what they ask for. A language is pure: it does no I/O, it gets every time as an
-argument, and it never raises on bytes.
+A driver is a program that somebody else wrote for the bare board. The guard port (failstop/guard) gives it a
+pseudo-terminal that behaves like the board. The board's own folder has a DriverLanguage that knows how the board
+behaves: it takes the driver's bytes, and returns what they ask for. A language is pure: it does no I/O, it gets every
+time as an argument, and it never raises on bytes.
 
-It returns rows of four kinds:
+A language returns rows of four kinds:
 
-- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
+- DriverMotion: the speeds of all wheels. The service decides whether they turn. No other kind of row can move anything.
 - DriverAnswer: bytes for the driver, which the language makes from the board's newest reports.
-- DriverFrame: bytes for the board that move nothing, such as a light or one of its questions.
-- DriverRefusal: something that the driver has asked for and does not get. People read it once for each driver.
+- DriverFrame: bytes for the board that move nothing, for example a light or a question.
+- DriverRefusal: something that the driver asked for and does not get. It is shown to people once for each driver.
 
-So a refused question has two rows (a refusal, and an answer that keeps the driver going), and raw PWM has three (a
-refusal, a motion of zeros, an answer).
+One request may need several rows. For a refused question they are a refusal, and an answer that keeps the driver going.
+For raw PWM they are a refusal, a motion of zeros, and an answer.
 """
 
 from __future__ import annotations
@@ -28,77 +28,79 @@ if TYPE_CHECKING:
     Settings = Mapping[str, float | str]
 
     class DriverLanguage(Protocol):
-        """One driver's conversation with the board. The guard makes a new object for each program that opens the
-        port.
+        """One driver's conversation with the board. The guard makes a new object for each program that opens the port.
 
-        It also makes a new one when the service is started again while the driver keeps the port open. If the language
-        has a method `resume(before)`, the guard then gives it the object before, so that it can go on with values that
-        must not jump for the driver, such as counts that began at zero when the driver opened the port."""
+        The guard also makes a new object if the service restarts while the driver keeps the port open. If the class has
+        a method `resume(before)`, the guard then calls it with the old object. The new object can copy values that must
+        not jump for the driver, such as counts that began at zero when the driver opened the port."""
 
         openers: int
-        """How many programs the usual driver of this board consists of. It is two if one of its programs writes to the
+        """How many programs the usual driver of this board consists of. It is 2 if one of its programs writes to the
         port and another one reads."""
         patience_ns: int
-        """How long a driver waits for an answer. If the driver was away for longer, the guard answers only its newest
-        question, because a driver that has given up would take a late answer for the one to its next question."""
+        """How long a driver waits for an answer, in ns. If the driver was away for longer, the guard answers only its
+        newest question. A driver that has given up would take a late answer for the answer to its next question."""
         past_ns: int
-        """How much of what the board said before the driver opened the port is given to heard() first, a few seconds at
-        most. What heard() returns then is dropped, because it is old. 0: nothing, as after the reset of a board."""
+        """heard() is first given what the board sent during this time before the driver opened the port, a few seconds
+        at most, in ns. The guard drops what heard() returns for these bytes, because it is old. 0 means that the
+        language begins with nothing, as after a reset of the board."""
 
         def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
-            """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to
-            accept each spelling that the board's own receiver accepts. It must never find a motion if that receiver
-            would find none, nor a faster one. Bytes of an incomplete frame are kept, up to a limit."""
+            """Return what the driver asks for with these bytes, in order. The bytes may be split or joined in any way.
+            The language must accept every spelling that the board's own receiver accepts. It must never find motion
+            that the receiver would not find, or a faster one. It keeps the bytes of an incomplete frame, up to a
+            limit."""
 
         def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-            """The board sent these bytes, at that time. Returns what to pass on to the driver, in whole frames or
-            lines. Reports that come without a question are passed on, but not the answers to failstop's own questions.
-            For a board that only answers, this returns nothing; the language then answers the next question with what
-            it has learned."""
+            """Return what to pass on to the driver of these bytes that the board sent, in whole frames or lines.
+            Reports that come unasked are passed on. Answers to failstop's own questions are not. For a board that only
+            answers, this returns an empty list, and the language uses what it has learned to answer the driver's next
+            question."""
 
 
 class DriverMotion(Data):
-    """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop: the
-    driver no longer drives. If a driver's frame names only some wheels, the others keep the speed that they were given
-    before. A language refuses what its board would refuse, and leaves the limits to the service."""
+    """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop, and mean
+    that the driver no longer drives. If a frame of the driver names only some wheels, the other wheels keep the speeds
+    that it commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
+    service."""
 
     speeds: Sequence[float]
     refused: bool = False
-    """True for a stop in place of a refused command. If the driver dies after it, it was still driving, because it did
-    not ask for that stop."""
+    """True for a stop that replaces a refused command. The driver did not ask for this stop, so it still counts as
+    driving: if it dies next, it died while driving."""
     steering_rad: float | None = None
-    """The angle of the steered wheels, positive to the left; None if the base is not steered, or its wheels' speeds say
-    how it turns."""
+    """The angle of the steered wheels in radians, positive to the left. None if the base is not steered, or if the
+    speeds of its wheels say how it turns."""
 
 
 class DriverAnswer(Data):
-    """Bytes for the driver: one whole answer. All of it is written at once, or nothing."""
+    """Bytes for the driver: one whole answer. The guard writes either all of it at once or none of it."""
 
     data: bytes
 
 
 class DriverFrame(Data):
-    """Bytes for the board: one of its questions, or a frame that its wire.aux lets pass. The guard passes on fifty a
-    second at most. If several frames of one kind wait, only the newest is passed on."""
+    """Bytes for the board: one of its questions, or a frame that its wire.aux lets pass. The guard passes on at most
+    fifty frames per second. If several frames of the same kind wait, only the newest is passed on."""
 
     data: bytes
     kind: str = ""
-    """What the frame sets. A newer frame of the same kind replaces one that still waits."""
+    """What the frame sets. A newer frame of the same kind replaces a frame that still waits."""
 
 
 class DriverRefusal(Data):
     """A request of the driver that is refused."""
 
     what: str
-    """For people, and the same text each time: what the driver asked for, for example "raw PWM (o)". If the driver asks
-    again, it is not reported again."""
+    """What the driver asked for, in words for people, for example "raw PWM (o)". A repeated request must have the same
+    text each time, so that it is reported only once."""
     why: str
-    """For people: what failstop did instead, and what helps, for example "its wheels were stopped: use m"."""
+    """What failstop did instead and what helps, in words for people, for example "its wheels were stopped: use m"."""
 
 
 def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
-    """A new conversation with the board of the setting board.kind; None if nobody has described what a driver may write
-    to this board. `settings`: every setting by its whole key. Raises ValueError."""
+    """Return a new conversation with the board of the setting board.kind. None if nobody has described what a driver
+    may write to this board. `settings` has every setting by its full key. Raises ValueError."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):

@@ -1,7 +1,7 @@
-"""Interface: everything that failstop needs from a motor board. Each process gets one Board at its start.
+"""Interface: everything that failstop needs from a motor board. Each process makes one Board when it starts.
 
-described.py makes a Board from a description (wire.py). A board with a gamepad or keys is a class of its own in its
-folder. An arm is one optional part of a board (ServoBus).
+described.py makes the Board from a description (wire.py). A board with a gamepad or keys has its own class, in the
+board's folder. An arm is an optional part of a board (ServoBus).
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ if TYPE_CHECKING:
 
     Value = tuple[Any, ...]
     Said = tuple[int, Value]
-    """A report: its kind, and its value."""
+    """A report: its kind (one of the HEARD_ numbers) and its value."""
 
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
-"""The writers of stops, as the rows of `repeats_ns`. A program that writes without a service has the last row."""
+"""The processes that write stops. Each number is the process's row in `repeats_ns`. A program that writes a stop while
+no service runs uses the last row."""
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
     range(9)
 )
 HEARD_ODD, HEARD_RESTARTED, HEARD_FIRMWARE = 9, 10, 11
-"""The kinds of reports, as a Hearing returns them."""
+"""The kinds of reports that a Hearing returns."""
 BUTTONS = {
     "L2": 0x0001,
     "R2": 0x0002,
@@ -40,56 +41,61 @@ BUTTONS = {
     "L1": 0x4000,
     "R1": 0x8000,
 }
-"""The buttons of a gamepad, one bit each."""
+"""The buttons of a gamepad, one bit for each."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
-"""What proves that the board has got a stop: the answer to a later ping, or the board's report of the command that it
-obeys."""
+"""What proves that the board has received a stop. BY_ANSWER: the board has answered a later ping. BY_ECHO: the board
+reports the command that it obeys."""
 BY_IMU, BY_WHEELS = "IMU", "wheels"
-"""What proves that the wheels are at rest: the IMU, or the board's reports of their speeds or positions."""
+"""What proves that the wheels are at rest: the IMU, or the board's own reports of the wheels' speeds or positions."""
 
 
 class WheelReports(Data):
     """How to read one board's reports about the wheels (HEARD_WHEELS), in this robot's units."""
 
     every_ns: int
-    """The longest time between two reports of a healthy board in a running service, ns; 0: the board reports
-    nothing."""
+    """The longest time between two reports of a healthy board while the service runs, in ns. 0 if the board does not
+    report its wheels."""
     speed_per_rps: float
-    """How many units of the reported speeds make one turn per second; 0: the board reports no speeds."""
+    """How many units of the reported speeds make one turn per second. 0 if the board reports no speeds."""
     position_per_turn: float
-    """By how much a position grows in one turn of the wheel; 0: positions only show whether the wheel is at rest."""
+    """How much a position grows in one turn of its wheel. 0 means that positions only show whether the wheel is at
+    rest."""
     wraps: float
-    """Positions are counted modulo this; 0: they are not."""
+    """The size of the range in which positions wrap around. 0 means that they never wrap."""
     holds_speed: bool
-    """True if the board holds the commanded speed; False if it sets a voltage."""
+    """True if the board measures the speed of each wheel and holds the commanded one. False if it only sets a
+    voltage."""
     own_scale: bool
-    """True if the reports do not depend on the setting board.per_rps."""
+    """True if the reports do not depend on the setting board.per_rps, so they reveal an error in it."""
     position_step: float = 0.0
-    """Positions are whole multiples of this, truncated towards zero; 0: too fine to matter."""
+    """Positions are whole multiples of this number, truncated towards zero. 0 means that they are too fine for this to
+    matter."""
 
 
 UNKNOWN_EVERY_NS = 1_000_000_000
-"""The value of every_ns for a board whose description does not say how often it reports."""
+"""The value of `every_ns` for a board whose description does not say how often it reports."""
 NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)
 
 
 class Hearing:
-    """Decodes the board's bytes into reports, which are pairs of a kind and a value.
+    """Decodes the board's bytes into reports. A report is a pair of a kind and a value.
 
-    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees per second. HEARD_BATTERY: mV, 0 for no battery.
-    HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
-    HEARD_SERVO: id, the question, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
-    (speeds, positions), each empty if the board does not report it. HEARD_OBEYED: the speeds of the command that it
-    follows now. HEARD_HEALTH: for each servo its id, its load (-1 to 1), its temperature in degrees Celsius, and what
-    is wrong with it (wire.py). HEARD_ODD: the name of a reported value that is impossible, and the value as text; it
-    counts as not reported. HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a
-    firmware that differs from the usual one, once.
+    The value of HEARD_IMU is the acceleration x y z in g, then the turn rate x y z in degrees per second. HEARD_BATTERY
+    has the voltage in mV, and 0 if no battery is connected. HEARD_PAD has the gamepad's buttons (the bits of BUTTONS),
+    hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY has the key's id and the event. HEARD_SERVO has the servo's id,
+    the question and the answer. HEARD_PONG has the indices of the pings that may have been answered. HEARD_WHEELS has
+    (speeds, positions), and each of the two is empty if the board does not report it. HEARD_OBEYED has the speeds of
+    the command that the board follows at the moment. HEARD_HEALTH has a row for each servo: its id, its load (-1 to 1),
+    its temperature in degrees Celsius, and what is wrong with it (the SERVO_ bits of wire.py). HEARD_ODD has the name
+    of a reported value that is impossible, and the value as text. An impossible value counts as not reported.
+    HEARD_RESTARTED has a text that says how the board showed that it restarted. HEARD_FIRMWARE comes once, with the
+    name of the firmware, if the firmware is not the usual one.
     """
 
     __slots__ = ()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """All reports that these bytes complete, in order. Never raises."""
+        """Return all reports that these bytes complete, in order. Never raises."""
         raise NotImplementedError
 
     def reset(self) -> None:
@@ -98,194 +104,200 @@ class Hearing:
 
 
 class ServoBus:
-    """The servos of an arm, as failstop talks to them: their ids are 1 to 253, their positions pulses (ArmFacts in
-    facts.py). servos.py lists what a servo can be asked. Frames for servos are made only if the settings name
-    [joints]."""
+    """The servos of an arm, as failstop talks to them. Servo ids are 1 to 253, and positions are in pulses (see
+    ArmFacts in facts.py). servos.py lists the questions for a servo. failstop makes frames for servos only if the
+    settings have [joints]."""
 
     __slots__ = ()
 
     beside_wheels: bool
-    """True if the arm may move while the wheels may turn, because no stop waits for a servo."""
+    """True if the arm may move while the wheels may turn. This needs a board on which a stop never has to wait for a
+    servo."""
     holds_by_goal: bool
-    """True if a servo goes on to its last goal by itself, and a stop does not change that goal; in a stream of moves
-    the goal is a few degrees ahead. If the servo lags behind, it is sent to where it was read."""
+    """True if a servo moves on to its last goal by itself, because a stop does not change that goal. In a stream of
+    moves the goal is only a few degrees ahead. If the servo lags behind, failstop sends it to the position that was
+    read from it."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """The frames that stop these servos, written after the burst in the same write; empty if a stop leaves them
-        alone."""
+        """Return the frames that stop these servos. They follow the burst in the same write. Empty if a stop leaves the
+        servos alone."""
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """The frame that sends a few servos to these positions, given as (id, pulses), within `duration_ms`. An encoder
-        that must avoid some frames may choose another duration, up to `longest_ms` (0: servos.LONGEST_MOVE_MS). Raises
-        FrameError."""
+        """Return the frame that moves a few servos within `duration_ms`. Each position is (id, pulses). If some frames
+        must be avoided, the encoder may choose another duration, up to `longest_ms` (0 means servos.LONGEST_MOVE_MS).
+        Raises FrameError."""
         raise NotImplementedError
 
     def read(self, servo: int, what: int) -> bytes:
-        """The frame that asks a servo one of the questions servos.READS. Raises FrameError."""
+        """Return the frame that asks a servo one of the questions in servos.READS. Raises FrameError."""
         raise NotImplementedError
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """The frame that asks a few servos for their positions at once, even while they move; empty if the board has
-        none. Raises FrameError."""
+        """Return the frame that asks a few servos for their positions at once, even while they move. Empty if the board
+        has no such frame. Raises FrameError."""
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The frame that switches a servo's torque on or off. `at`: its position, because a servo that keeps its goal
-        first gets its present position as the goal. Raises FrameError."""
+        """Return the frame that switches a servo's torque on or off. `at` is the servo's present position: a servo that
+        remembers an old goal first gets this position as its goal. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
-        """The command in a frame that has passed check(), one of those in servos.py."""
+        """Return the command in a frame that has passed check(). servos.py has the list of commands."""
         raise NotImplementedError
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. No motion of the
-        wheels passes. Unless it is a question, a frame that passes holds the board's receiver for no longer than
-        servos.HELD_NS."""
+        """Say why these bytes must not be written as a frame for an arm that has these servos. Returns "" if they may
+        be written. Frames that move the wheels never pass. A frame that passes holds up the board's receiver for
+        servos.HELD_NS at most, unless it is a question."""
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Where a frame sends servos: (id, pulses, duration of the move in ns; 0: as fast as the servo can) for each.
-        Empty for other bytes. Never raises."""
+        """Return where a frame sends servos: (id, pulses, duration of the move in ns) for each. A duration of 0 means
+        as fast as the servo can. Empty for other bytes. Never raises."""
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:
-        """For how long, at most, a frame that has passed check() blocks the receiver, ns."""
+        """Return how long a frame that has passed check() holds up the board's receiver at most, in ns."""
         raise NotImplementedError
 
 
 class SteeringFrames:
-    """The frames that turn the servo of a steered base. Steering is motion: its frame follows the one for the wheels in
-    the same write, and is admitted and refused with it. A stop has no such frame, so the angle stays as it is."""
+    """The frames that turn the servo of a steered base. Steering counts as motion: the steering frame follows the frame
+    for the wheels in the same write, and the two are accepted or refused together. A stop has no steering frame, so it
+    leaves the angle as it is."""
 
     __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
-        """The frame for this angle, positive to the left. Raises FrameError."""
+        """Return the frame that steers to this angle, positive to the left. Raises FrameError."""
         raise NotImplementedError
 
     def check(self, frame: bytes) -> str:
-        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
+        bytes."""
         raise NotImplementedError
 
 
 class Board:
-    """The board's language as failstop uses it: constants and pure functions. A description of your own board becomes
-    such an object."""
+    """One board's language, as failstop uses it: constants and pure functions. A description of your own board becomes
+    such an object too."""
 
     __slots__ = ()
 
     name: str
-    """The name of the board for people, for example "an Arduino with ..."."""
+    """The name of the board for people, for example "an Arduino with ros_arduino_bridge"."""
     port: Port
-    """How its serial port is set up, and how long the board hears nothing after that. Motion can't be enabled until the
-    board hears and has got its opening frames."""
+    """How the board's serial port is set up, and how long the board hears nothing after that. Motion can't be enabled
+    until the board hears and its opening frames were written."""
     idle_ns: int
-    """How long the line must be silent after a write before anything but a stop may be written, ns; 0: not at all. A
-    stop never waits for this."""
+    """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 means no time at
+    all. A stop never waits for this."""
     after_ns: int
-    """How long the line must be silent after a stop, ns, even before the next stop of the same writer; 0: stops may
-    follow each other directly. If it is not 0, a stop counts as lost until it was repeated."""
+    """How long the line must be silent after a stop, in ns, even before the same writer's next stop. 0 means that stops
+    may follow each other without a gap. If it is not 0, a stop counts as lost until it was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
-    each other's bytes have different times, so that no two touch twice in a row. On a board that loses two stops that
-    touch, the repeats go on for 0.4 s, longer than an adapter stalls. Writers outlive the supervisor until then. The
-    port owner repeats the gate's first zero frame after motion at the same times."""
+    """When a stop is written again, in ns after it. Each writer has its own row (PORT_OWNER_ROW, STOPPER_ROW,
+    SUPERVISOR_ROW), because writers can't see each other's bytes: with different times, no two stops touch twice in a
+    row. On a board that loses two stops that touch, the repeats go on for 0.4 s, which is longer than an adapter
+    stalls. The writers go on until then even if the supervisor dies. After motion, the port owner repeats the gate's
+    first zero frame at the same times."""
     stop: bytes
-    """The frame that sets every wheel to zero. It has exactly the bytes that motor_speeds() makes for zeros."""
+    """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
-    """The bytes of one write that stop the wheels, whatever state the board's receiver is in, at the latest when they
-    are repeated."""
+    """The bytes that stop the wheels, in one write. They do so whatever state the board's receiver is in, at the latest
+    when they are repeated."""
     first_stop: bytes
-    """The beginning of the burst, up to its first stop frame. It is written before anything else is done. If it is the
-    whole burst, the burst is not written again right after it."""
+    """The beginning of the burst, up to the end of its first stop frame. When a stop is needed, this is written before
+    anything else is done. If it is the whole burst, the burst is not written again right after it."""
     refresh: bytes
     """The stop that is written five times per second while the robot is stopped, because a board may restart or wake
     up."""
     pings: tuple[bytes, ...]
-    """At most layout.PINGS frames that move nothing and that the board answers, in order with all others. All of them
-    differ, so an answer shows which ping it belongs to, and proves that the receiver was in step. It may be empty: the
-    link is then `unasked`, and nobody waits for an answer."""
+    """At most layout.PINGS questions that move nothing. The board answers them in order with all other frames. All of
+    them differ, so an answer shows which ping it belongs to, and proves that the receiver had not lost its place in the
+    bytes. Empty if the board can't be asked: the link is then `unasked`, and nothing waits for an answer."""
     ping_ns: int
-    """The longest time between two pings that the proofs about this board need, ns; 0: any."""
+    """The proofs about this board need a ping at least this often, in ns. 0 means that they need no particular rate."""
     echo_ns: int
-    """When the board reports that it obeys zeros, the command was written at least this long before, ns; 0: the board
-    does not report the command that it obeys. A board that reports it acknowledges a stop by such a report, not by an
-    answer alone."""
+    """How long it takes at most until the board reports that it obeys a command that was written, in ns. 0 if it does
+    not report the command that it obeys. A board that reports it acknowledges a stop by this report, so an answer alone
+    is not enough."""
     silent_ns: int
-    """The board's reports about its wheels or its IMU never pause for this long, ns, unless it restarts; 0: it reports
-    nothing."""
+    """If the board's reports about its wheels or its IMU pause for this long, in ns, the board has restarted. 0 if the
+    board reports nothing."""
     arming: bytes
-    """The frame that sets the board's own watchdog. A restart of the board undoes it, so it is written before the first
-    motion after each enable. Empty if there is no such watchdog."""
+    """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
+    restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
-    """How long after the last frame the board's own watchdog makes it report zeros, ns; such zeros prove no stop. 0: it
-    has no watchdog, or reports no command."""
+    """How long after the last frame the board's own watchdog makes it report zeros, in ns. Such zeros prove no stop. 0
+    if the board has no watchdog, or does not report the command that it obeys."""
     acknowledged_by: str
-    """BY_ANSWER or BY_ECHO; empty if the board acknowledges nothing."""
+    """BY_ANSWER or BY_ECHO. Empty if the board acknowledges nothing."""
     observed_by: str
-    """BY_IMU or BY_WHEELS."""
+    """What proves that the wheels are at rest: BY_IMU or BY_WHEELS."""
     per_rps: float
     """How many of the board's speed units make one wheel turn per second."""
     scale_assumed: bool = False
-    """True if nobody knows that `per_rps` is right: it depends on this robot's motors and encoders and the board's
-    reports use the same number, or a person has only written it into the settings, and board.per_rps_confirmed is
-    another number."""
+    """True if nobody has confirmed that `per_rps` is right for this robot's motors and encoders, and the board's
+    reports can't reveal an error. A number that a person has only written into the settings is not confirmed, unless
+    board.per_rps_confirmed has the same number."""
     reports: WheelReports
     """What the board reports about its wheels, and how to read it."""
     wheels: int
-    """How many speeds a frame sets, at most box.MOST_SPEEDS. Their wire ids are counted from 0."""
+    """How many speeds a frame sets, at most box.MOST_SPEEDS. The wire ids of the wheels are counted from 0."""
     most_rps: float
-    """The highest wheel speed that can be sent to the board, turns per second. The service does not start if the limits
-    allow more."""
+    """The highest wheel speed that can be sent to the board, in turns per second. If the limits in the settings allow
+    more, the service does not start."""
     step_rps: float
-    """Speeds are sent in multiples of this, rounded towards zero, turns per second; 0: any speed can be sent."""
+    """Speeds are sent in multiples of this, rounded towards zero, in turns per second. 0 means that any speed can be
+    sent."""
     usb: tuple[str, ...]
-    """Vendor:product, in hexadecimal, of the board's own USB ports. The chip of an adapter says nothing about the board
-    behind it."""
+    """The board's own USB ports as vendor:product in hexadecimal. The chip of a separate USB adapter is not listed,
+    because it says nothing about the board behind the adapter."""
     usb_alone: bool
-    """True if the board can only be on its own USB port, so not behind an adapter and not on serial pins."""
+    """True if the board can only be on its own USB port, so it is never behind an adapter or on serial pins."""
     commanders: tuple[Commander, ...]
-    """What else can command the wheels of this board."""
+    """Other programs, devices or people that can command the wheels of this board."""
     arm: ServoBus | None
-    """The servos of an arm, if the board has them."""
+    """How to talk to the servos of an arm. None if the board has no servos."""
 
     def hearing(self) -> Hearing:
-        """A new decoder for the board's bytes."""
+        """Return a new decoder for the bytes that the board sends."""
         raise NotImplementedError
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError, also
-        for a speed that is not finite or a wrong number of speeds."""
+        """Return the frame that sets all wheels. `rps` has turns per second by wire id, each within plus or minus
+        `max_rps`. Raises FrameError, also for a speed that is not finite or a wrong number of speeds."""
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Why these bytes must not be written as a motion frame; "" if they may. It trusts nobody and reads form,
-        checksum, ids and speeds again, so a frame with a changed bit is refused as far as its form can tell. Never
-        raises on bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check
+        trusts no encoder: it reads the form, the checksum, the ids and the speeds again, so it refuses a frame with a
+        changed bit wherever the form of the frame reveals one. Never raises on bytes."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds that a motion frame sets, in rps by wire id; None for other bytes. Never raises."""
+        """Return the speeds that a motion frame sets, in rps by wire id, or None for other bytes. Never raises."""
         raise NotImplementedError
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds that the board will report when it obeys this motion frame or stop; None if it reports none, or
-        for other bytes. Never raises."""
+        """Return the speeds that the board will report while it obeys this motion frame or stop. None for other bytes,
+        or if the board does not report the command that it obeys. Never raises."""
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """A motion frame that is sent again for the `turn`th time, made slightly slower depending on the turn, because
-        reports of a steady command could not show whether frames still arrive. The same frame if no report proves
-        anything."""
+        """Return a motion frame that is sent for the `turn`th time, made slightly slower depending on the turn. Without
+        this, the board's reports of a steady command could not show whether frames still arrive. Returns the frame
+        unchanged if the board's reports prove no stops."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """The frame that sounds the board's buzzer; empty if it has none. Raises FrameError."""
+        """Return the frame that sounds the board's buzzer. Empty if the board has no buzzer. Raises FrameError."""
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:
-        """Why these bytes must not be written as any other frame; "" if they may. No motion passes, and no frame for a
-        servo."""
+        """Say why these bytes must not be written as a frame that is neither motion nor a stop. Returns "" if they may
+        be written. Frames that move a wheel or a servo never pass."""
         raise NotImplementedError

@@ -1,7 +1,7 @@
-"""Wire: the vocabulary in which any motor board can be described. Each folder in failstop/board describes one board
-with it.
+"""Wire: the vocabulary in which any motor board can be described. Each folder in failstop/board uses it to describe one
+board.
 
-described.py turns a description into the Board that the service drives (docs/boards.md).
+described.py turns such a description into the Board that the service drives (docs/boards.md).
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ if TYPE_CHECKING:
     from failstop.board.interface import ServoBus, SteeringFrames
 
 VOCABULARY = 1
-"""The number of this vocabulary. It is raised when a description that was valid would be refused, or mean something
-else."""
+"""The version of this vocabulary. It goes up when a description that was valid before would be refused, or would mean
+something else."""
 
 ZERO = "zero"
-"""The wheels are braked to rest."""
+"""A watchdog that does this brakes the wheels to rest."""
 COAST = "coast"
-"""The motors get no current, and the wheels roll on."""
+"""A watchdog that does this cuts the motors' current, so the wheels roll on."""
 DISARM = "disarm"
-"""The wheels stop, and the board takes no motion until it is armed again."""
+"""A watchdog that does this stops the wheels, and the board accepts no motion until it is armed again."""
 
 WRITTEN = "written"
 ANSWERED = "answered"
-"""Proof: a question after the stop was answered, so the stop was parsed."""
+"""The proof that the board has parsed a stop: it has answered a question that was written after the stop."""
 ECHOED = "echoed"
-"""Proof: the board reports the command that it obeys, and that is zero."""
+"""The proof that the board obeys a stop: it reports the command that it obeys, and that command is zero."""
 OBSERVED = "observed"
-"""Proof: the board's reports about its wheels' speeds or positions show that they are at rest. Without them an IMU
-may."""
+"""The proof that the wheels are at rest: the board's own reports of their speeds or positions show it. On a board that
+can't give this proof, an IMU may show it."""
 
 BITS_PER_BYTE = 10
-"""On the wire: a start bit, eight data bits and a stop bit."""
+"""How many bits one byte takes on the serial line: a start bit, eight data bits and a stop bit."""
 
 
 class Port(Data):
@@ -48,17 +48,18 @@ class Port(Data):
     dtr: bool
     rts: bool
     deaf_ns: int
-    """How long the board hears nothing after the port was opened, because opening resets it, ns."""
+    """How long the board hears nothing after the port was opened, in ns, because opening the port may reset it. 0 if it
+    hears at once."""
     opening: tuple[bytes, ...]
-    """Frames to write as soon as the board hears. They set its own watchdog."""
+    """Frames to write as soon as the board hears, for example the one that sets the board's own watchdog."""
 
     def at(self, baud: int) -> Port:
-        """The same port with another baud rate."""
+        """Return a copy of this port that has another baud rate."""
         return Port(baud=baud, dtr=self.dtr, rts=self.rts, deaf_ns=self.deaf_ns, opening=self.opening)
 
     @property
     def byte_ns(self) -> int:
-        """How long one byte takes on the wire, ns."""
+        """How long one byte takes on the serial line, in ns."""
         return BITS_PER_BYTE * 1_000_000_000 // self.baud
 
 
@@ -66,7 +67,7 @@ class Write(Data):
     """One write to the port."""
 
     idle_ns: int
-    """How long the line must be silent before its first byte."""
+    """How long the line must be silent before the first byte of this write, in ns."""
     data: bytes
 
 
@@ -75,206 +76,226 @@ class TimedStop(Data):
 
     writes: tuple[Write, ...]
     after_ns: int
-    """How long the line must be silent after its last byte."""
+    """How long the line must be silent after the last byte of the stop, in ns."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """A row for each writer: when it repeats the stop, after it began. Writers that can't see each other's bytes have
-    different times, so that no two touch twice in a row. If stops may not touch, the last repeats come after 0.3 s: an
-    adapter that stalls sends everything it kept at once, and such a board drops that."""
+    """When each writer writes the stop, in ns after it began to stop. There is a row for the port owner, one for the
+    stopper and one for the supervisor. A row begins with 0, the stop itself, and goes on with the times of its repeats.
+    The rows differ because the writers can't see each other's bytes: with different times, the stops of two writers
+    never touch twice in a row. If the board drops stops that touch, the last repeats must come later than 0.3 s. An
+    adapter that stalls sends everything it has kept at once, and such a board drops all of it."""
 
 
 class Pace(Data):
-    """When anything other than a stop may be written."""
+    """How failstop paces the frames that are not stops."""
 
     idle_ns: int
-    """How long the line must be silent before it."""
+    """How long the line must be silent before such a frame, in ns."""
     unanswered: int | None
-    """How many frames may be unanswered at a time; None: any number."""
+    """How many frames may wait for an answer at the same time. None means any number."""
 
 
 class Watchdog(Data):
-    """The board's own watchdog, which stops the wheels when the host is gone: a dead kernel, a pulled cable."""
+    """The board's own watchdog. It stops the wheels when the computer falls silent, for example because its kernel
+    crashed or the cable was pulled."""
 
     after_ns: int
-    """After how long it acts when the board has just started."""
+    """How long after the last motion the watchdog acts if its time was not set since the board started, in ns. 0 means
+    that it does not act."""
     does: str
-    """ZERO, COAST or DISARM."""
+    """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
-    """(after_ns): the frame that sets the time; raises FrameError. None if the firmware's time is fixed."""
+    """A function (after_ns) that returns the frame which sets the watchdog's time. It raises FrameError for a time that
+    the board can't have. None if the firmware's time is fixed."""
     set_ns: int
-    """The time that failstop sets at each opening; 0: unchanged."""
+    """The time that failstop sets, in ns. 0 means that failstop leaves the board's own time unchanged."""
     fed_by: str
-    """A sentence for people: what keeps it from acting, and what does not."""
+    """A sentence for people that says which frames keep the watchdog from acting, and which don't."""
 
     @property
     def acts_ns(self) -> int:
-        """How long after the last motion it acts in a running service; 0 if it has none."""
+        """How long after the last motion the watchdog acts while the service runs, in ns. 0 if the board has no
+        watchdog."""
         return self.set_ns or self.after_ns
 
 
 NO_WATCHDOG = Watchdog(
     after_ns=0, does=ZERO, arm=None, set_ns=0, fed_by="it has none: it keeps its last speed for ever"
 )
-"""For a board without a watchdog."""
+"""The value of `watchdog` for a board that has none."""
 
 
 class Motion(Data):
-    """How speeds become motion, in the board's own unit."""
+    """How speeds become motion frames. All these speeds are in the board's own unit."""
 
     wheels: int
-    """How many speeds a frame has: one (of a steered base), two (left and right), three or four."""
+    """How many speeds a frame has: one (for a steered base), two (left and right), three or four."""
     unit: str
     limit: float
-    """The largest speed that the board takes."""
+    """The largest speed that the board accepts."""
     per_rps: Callable[[float], float]
-    """(wheel diameter in m): one turn per second of a wheel in the board's unit, as it usually is."""
+    """A function (wheel diameter in m) that returns one turn per second of a wheel in the board's unit, as it usually
+    is on such robots."""
     step: float
-    """Speeds are sent as multiples of this, truncated towards zero."""
+    """Speeds are sent as multiples of this number, truncated towards zero."""
     apart: float
     """The largest difference between two wheels that the board accepts."""
     frame: Callable[[Sequence[float], float], bytes]
-    """(speeds, limit): the frame that sets all wheels, each within plus or minus `limit`. Raises FrameError. Zeros
-    always make exactly `rest`."""
+    """A function (speeds, limit) that returns the frame which sets all wheels. It raises FrameError unless each speed
+    is within plus or minus `limit`. For zeros it always returns exactly `rest`."""
     rest: bytes
-    """The frame for zeros."""
+    """The frame that sets every speed to zero."""
     check: Callable[[bytes, float], str]
-    """(frame, limit): why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+    """A function (frame, limit) that says why these bytes must not be written as a motion frame. It returns "" if they
+    may be written. It never raises on bytes."""
     speeds: Callable[[bytes], Sequence[float] | None]
-    """The speeds that a motion frame sets; None for other bytes. Never raises on bytes."""
+    """A function (frame) that returns the speeds which a motion frame sets, or None for other bytes. It never raises on
+    bytes."""
     marked: Callable[[bytes, int], bytes] | None = None
-    """(frame, turn): a motion frame that is sent again, made a step or two slower depending on its turn, so that the
-    board's report of the obeyed command shows which frame it was. Only a board without questions needs it."""
+    """A function (frame, turn) for a board that has no questions. When failstop sends the same motion again, this
+    returns the frame made a step or two slower, depending on the turn. Then the board's report of the command that it
+    obeys shows which of the frames it has received."""
     scale_known: bool = False
-    """True: `per_rps` is a fact of the board, the same for every robot. False: it depends on the robot's motors and
-    encoders, so `per_rps` is only a guess until a turn of a wheel has confirmed it (board.per_rps_confirmed)."""
+    """True if `per_rps` is a fact about the board, the same for every robot. False if it depends on the robot's motors
+    and encoders. Then it is only a guess until somebody confirms it by turning a wheel (board.per_rps_confirmed)."""
 
 
 class Sample:
-    """A report, in the same few kinds for all boards."""
+    """Something that the board reports. The kinds of samples below are the same for all boards."""
 
 
 class Wheels(Sample, Data):
-    """The wheels: left and right, or each one. If a board does not report a kind of value, it is empty."""
+    """A report about the wheels, either left and right or each one. A kind of value that the board does not report is
+    an empty tuple."""
 
     speeds: tuple[float, ...]
-    """In the unit of its motion."""
+    """The wheels' speeds, in the unit that Reports.speed_per_rps describes, or else in the unit of the board's
+    motion."""
     positions: tuple[float, ...]
-    """Odometers, in the board's own unit. Two equal reports prove that the wheels are at rest."""
+    """The wheels' odometers, in the board's own unit. Two equal reports in a row prove that the wheels are at rest."""
 
 
 class Obeyed(Sample, Data):
-    """The command that the board follows now, in the unit of its motion; zeros also after its watchdog has acted."""
+    """A report of the command that the board follows at the moment, in the unit of its motion. It is all zeros after a
+    stop, and also after the board's own watchdog has acted."""
 
     speeds: tuple[float, ...]
 
 
 class Battery(Sample, Data):
-    """The battery's voltage."""
+    """A report of the battery's voltage."""
 
     volts: float
 
 
 SERVO_VOLTAGE, SERVO_SENSOR, SERVO_HEAT, SERVO_CURRENT, SERVO_LOAD, SERVO_MISSING = 1, 2, 4, 8, 32, 128
-"""What is wrong with a servo, as bits. SERVO_MISSING: it answers nothing while others do."""
+"""What can be wrong with a servo, one bit for each fault. SERVO_MISSING means that this servo does not answer while
+others do."""
 
 
 class Health(Sample, Data):
-    """What servos report about themselves: the id, load (a share of the most that the servo gives, negative in the
-    other direction) and temperature of each in degrees Celsius (0: not reported yet), and what is wrong with it
-    (SERVO_VOLTAGE and the others; may be left out)."""
+    """What servos report about themselves, a row for each servo: its id, its load, its temperature in degrees Celsius,
+    and what is wrong with it. The load is a share of the most that the servo can give, negative in the other direction.
+    A temperature of 0 means that it was not reported yet. The last value is a sum of bits such as SERVO_VOLTAGE, and
+    may be left out."""
 
     rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 
 
 class Imu(Sample, Data):
-    """Acceleration in m/s^2 and turn rate in rad/s, along the board's axes."""
+    """A report of an IMU: acceleration in m/s^2 and turn rate in rad/s, along the board's axes."""
 
     accel: tuple[float, float, float]
     gyro: tuple[float, float, float]
 
 
 class Answer(Sample, Data):
-    """A line that is only an answer, and comes only after a question."""
+    """A line that the board sends only when it is asked. It proves that the board hears, and reports nothing else."""
 
     text: str
 
 
 class Restarted(Sample, Data):
-    """A sign that the board, or a part of it such as a motor's own controller, has started again."""
+    """A sign that the board has restarted, or a part of it such as a motor's own controller."""
 
     text: str
-    """For people, for example "it printed its boot text"."""
+    """What the sign was, in words for people, for example "it printed its boot text"."""
 
 
 class Firmware(Sample, Data):
-    """A firmware, recognised by its reports, that differs from the usual one."""
+    """The board's reports show that its firmware is not the usual one."""
 
     name: str
-    """For people: whose firmware it is, how it was recognised, and what to check with it."""
+    """A text for people that says whose firmware it is, how failstop recognised it, and what to check before you use
+    it."""
 
 
 class Question(Data):
-    """A frame that moves nothing and is answered."""
+    """A frame that the board answers, and that moves nothing."""
 
     name: str
     ask: bytes
     answered_by: Callable[[Sample], bool]
-    """Whether a sample is the answer to it."""
+    """A function (sample) that returns True if the sample is the answer to this question."""
 
 
 def answer_is(text: str) -> Callable[[Sample], bool]:
-    """Use this for a question if its answer is an Answer with exactly this text."""
+    """Make the `answered_by` of a question whose answer is an Answer with exactly this text."""
     return lambda sample: isinstance(sample, Answer) and sample.text == text
 
 
 class Reader:
-    """Takes bytes from the board, and returns samples. It keeps incomplete ones."""
+    """Turns the bytes that the board sends into samples. The bytes of an incomplete sample are kept until the rest
+    comes."""
 
     def feed(self, chunk: bytes) -> list[Sample]:
-        """The samples that these bytes complete, in order. Never raises."""
+        """Return the samples that these bytes complete, in order. Never raises."""
         raise NotImplementedError
 
 
 class Commander(Data):
-    """Another program, device or person, besides failstop, that can command the wheels."""
+    """Another program, device or person that can command the wheels, so that failstop is not alone."""
 
     who: str
-    """For people: what or who it is, and how it can send commands."""
+    """A text for people that says who or what this is, and how it can send commands."""
     remedy: str
-    """For people: how to prevent it."""
+    """A text for people that says how to prevent such commands."""
     program: str = ""
-    """A part of the command line of that program on the host. Empty if it is not a program, so that nothing on the host
-    shows it."""
+    """If this is a program on the robot's computer, a part of its command line, so that failstop can find it. Empty for
+    anything else, because nothing on the computer shows it."""
     fix: str = ""
-    """The command that ends the program for good, if it would be restarted otherwise."""
+    """The command that ends the program for good. Empty if nothing restarts the program when it is ended."""
 
 
 class Reports(Data):
     """How to read the board's reports about its wheels (`Wheels`)."""
 
     every_ns: int
-    """The longest time between two reports of a healthy board in a running service."""
+    """The longest time between two reports of a healthy board while the service runs, in ns."""
     speed_per_rps: Callable[[float, float], float] | None
-    """(one turn per second in the unit of its motion, wheel diameter in m): one turn per second in the unit of the
-    reported speeds. None if it reports no speeds."""
+    """A function that returns one turn per second of a wheel, in the unit of the reported speeds. Its arguments are one
+    turn per second in the unit of the motion, and the wheel's diameter in m. None if the board reports no speeds."""
     position_per_turn: Callable[[float, float], float] | None
-    """The same arguments: how much a position grows in one turn of its wheel. None if it reports no positions."""
+    """A function that returns how much a position grows in one turn of its wheel. It has the arguments of
+    `speed_per_rps`. None if the board reports no positions."""
     wraps: float
-    """Positions are counted modulo this, from minus half of it; 0: they never wrap."""
+    """The size of the range in which positions wrap around, from minus half of it to plus half of it. 0 means that
+    positions never wrap."""
     holds_speed: bool
-    """True: the board measures the speed and holds the commanded one. False: it sets a voltage, so a wheel may turn
-    faster downhill and slower uphill."""
+    """True if the board measures the speed of each wheel and holds the commanded one. False if it only sets a voltage,
+    so a wheel may turn faster downhill and slower uphill."""
     own_scale: bool
-    """True: the board reports in a real-world unit, so a wrong setting board.per_rps shows. False: commands and reports
-    share that setting."""
+    """True if the board reports in a real-world unit, so its reports reveal a wrong setting board.per_rps. False if
+    commands and reports share that setting, so an error does not show."""
     position_step: float = 0.0
-    """Positions are whole multiples of this, truncated towards zero; 0: too fine to matter."""
+    """Positions are whole multiples of this number, truncated towards zero. 0 means that they are too fine for this to
+    matter."""
 
 
 class Wire(Data):
-    """Everything about one board's language."""
+    """The whole description of one board: how to open its port, how to stop and drive it, and how to read it."""
 
     name: str
-    """For people: the name of the board, such as "an Arduino with ..."."""
+    """The name of the board for people, for example "an Arduino with ros_arduino_bridge"."""
     port: Port
     stop: TimedStop
     pace: Pace
@@ -283,45 +304,54 @@ class Wire(Data):
     questions: tuple[Question, ...]
     reader: Callable[[], Reader]
     proofs: tuple[str, ...]
-    """The proofs of a stop that it can give besides WRITTEN: ANSWERED, ECHOED, OBSERVED."""
+    """The proofs of a stop that the board can give: ANSWERED, ECHOED, OBSERVED. WRITTEN is not listed, because it needs
+    nothing from the board."""
     ping_ns: int
-    """The longest time between two questions, if the proofs need them; 0: any."""
+    """The proofs need a question at least this often, in ns. 0 means that they need no particular rate."""
     echo_ns: int
-    """When it reports that it obeys zeros, the command was written at least this long before; 0: it does not report
-    it."""
+    """How long it takes at most until the board reports that it obeys a command that was written, in ns. 0 if it does
+    not report the command that it obeys."""
     other_bauds: tuple[int, ...] = ()
-    """Baud rates that its firmware is often built with, besides that of `port`: doctor and setup try these too."""
+    """Other baud rates with which the board's firmware is often built. `failstop doctor` and `failstop setup` try these
+    after the rate of `port`."""
     usb: tuple[str, ...] = ()
-    """Vendor:product, in hexadecimal, of the board's own USB ports; an adapter's say nothing about the board behind
-    it."""
+    """The board's own USB ports as vendor:product in hexadecimal, for example "2341:0043". Don't list the chip of a
+    separate USB adapter, because it says nothing about the board behind the adapter."""
     silent_ns: int = 0
-    """Its reports about its wheels, unasked or as answers, never pause for this long unless it restarts. One report
-    that is garbled on the line must not be enough for such a pause. 0: it reports nothing."""
+    """If the board's reports about its wheels pause for this long, in ns, the board has restarted. It makes no
+    difference whether the reports come unasked or as answers. Choose a time so long that one report garbled on the line
+    can't make such a pause. 0 if the board reports nothing."""
     commanders: tuple[Commander, ...] = ()
     reports: Reports | None = None
-    """None: reported speeds are in the unit of its motion, and positions only show rest."""
+    """How to read the board's reports about its wheels. With None, reported speeds are in the unit of its motion, and
+    positions only show whether the wheels are at rest."""
     arm: Callable[[Port], ServoBus] | None = None
-    """Makes the part that talks to an arm's servos on this port. None if the board has no arm."""
+    """A function (port) that makes the object which talks to an arm's servos on this port. None if the board has no
+    arm."""
     steering: Callable[[SteeringServo], SteeringFrames] | None = None
-    """Makes the frames that turn the servo of a steered base. None if the board can turn none."""
+    """A function (servo of the settings) that makes the frames for the servo of a steered base. None if the board can't
+    turn such a servo."""
     aux: Callable[[bytes], str] | None = None
-    """(frame): why a frame that is neither motion nor a stop nor a question must not be written; "" if it may. It must
-    move nothing, whole or cut off, and keep the board from its next frame for 30 ms at most. None: no such frame is
-    written."""
+    """A function (frame) that says why a frame must not be written if it is neither motion nor a stop nor a question.
+    It returns "" if the frame may be written. Such a frame must move nothing, even if it is cut off, and must not keep
+    the board from its next frame for longer than 30 ms. With None, no such frame is ever written."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
-    """(every setting by its full key): what a driver program may write to the board, for the guard port (driver.py).
-    Import that module inside the function, because no process of the service needs it. None: not described."""
+    """A function (all settings by their full keys) that returns what a driver program may write to the board at the
+    guard port (driver.py). Import that module inside the function, because no process of the service needs it. None if
+    nobody has described this for the board."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:
-    """Left and right, each a finite number within plus or minus `limit`, which is `most` at most; else FrameError."""
+    """Check the speeds of the left and the right wheel, and return them. Raises FrameError unless both are finite
+    numbers within plus or minus `limit`, and `limit` is at most `most`."""
     counted("speeds", speeds, 2, 2)
     number("limit", limit, 0.0, most, unit)
     return number("speed left", speeds[0], -limit, limit, unit), number("speed right", speeds[1], -limit, limit, unit)
 
 
 def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
-    """Why these speeds must not be commanded; "" if they may."""
+    """Say why these speeds must not be commanded, for example because one exceeds `limit`. Returns "" if they may
+    be."""
     if not 0.0 <= limit <= most:
         return f"limit {limit}, must be 0 to {most:g}"
     names = ("left", "right") if len(speeds) == 2 else range(len(speeds))
