@@ -1,1 +1,1 @@
-"""Arduino: ros_arduino_bridge on an AVR, as diffdrive_arduino drives it, on its USB serial port."""
+"""Arduino: an AVR with ros_arduino_bridge on its USB serial port, as the ROS 2 package diffdrive_arduino drives it."""

@@ -1,17 +1,19 @@
-"""Lines of ros_arduino_bridge: a letter, arguments between spaces, and a CR; each line gets an answer line.
+"""The lines of ros_arduino_bridge. A line is a letter, arguments between spaces, and a CR. The board answers each line
+with one line.
 
 Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checksum, so its form must protect it:
 
-- The stop begins with a CR, which ends any line that was cut before. Without it, the stop would be read as more digits
-  of the cut line, which would then be executed.
-- Both speeds carry their sign, and a comma ends the first one. The firmware's atoi ends at either, so neither two glued
-  lines nor two speeds whose space was lost can join their digits into a larger speed: three bytes must be lost for
-  that. A letter in place of the comma could become the command.
-- Speeds have at most three digits, so that a cut line with a whole one after it fits the firmware's 16 bytes per
-  argument.
+- The stop begins with a CR, which ends any line that was cut before. Without this CR, the board would read the stop as
+  more digits of the cut line, and then execute that line.
+- Both speeds carry their sign, and a comma ends the first speed. The firmware's atoi stops reading at a sign or a
+  comma. So the digits of two joined lines, or of two speeds that lost the space between them, can't become one larger
+  speed unless three bytes are lost. A letter in place of the comma would be worse, because the board could take the
+  letter for the command.
+- Speeds have at most three digits. So even a cut line followed by a whole line fits into the 16 bytes that the firmware
+  has for each argument.
 
-A lost digit makes a wheel slower. A lost minus makes it turn the other way at the same speed; no form of this line can
-prevent that.
+If a digit is lost, the wheel turns slower. If a minus is lost, the wheel turns the other way at the same speed. No form
+of this line can prevent the second case.
 """
 
 from __future__ import annotations
@@ -23,24 +25,25 @@ from failstop.board.wire import Answer, Sample, Wheels
 
 STOP = b"\rm 0 0\r"
 BAUD_RATE = b"b\r"
-"""A question without side effects; its answer is 57600."""
+"""A question that changes nothing on the board. The answer is 57600."""
 POSITIONS = b"e\r"
 LIMIT = 999.0
 UNIT = "encoder ticks per 33 ms"
 PERIODS = 30
-"""Periods of the speed controllers per second."""
+"""How often the firmware's speed controllers run, per second."""
 COUNTS = 3436
-"""Encoder counts per turn of a wheel, the default of diffdrive_arduino."""
+"""Encoder counts per turn of a wheel. This is the default of diffdrive_arduino."""
 
 PINS = (4, 7, 8, 11, 14, 15, 16, 17)
-"""Pins of an Uno that drive no motor and read no encoder in the firmware's default wiring: the L298's PWM is on 5, 6, 9
-and 10 and its enables on 12 and 13, encoders are on 2, 3, A4 (18) and A5 (19), and the port on 0 and 1."""
+"""The pins of an Uno that drive no motor and read no encoder in the firmware's default wiring. All other pins are in
+use: the L298's PWM is on 5, 6, 9 and 10, its enables are on 12 and 13, the encoders are on 2, 3, A4 (18) and A5 (19),
+and the serial port is on 0 and 1."""
 _AUX = re.compile(rb"([wxc]) (\d{1,2}) (\d{1,3})\r")
 _MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
-"""Bytes: two counts of 11 characters, and some more."""
+"""How many bytes of an answer are kept: two counts of 11 characters, and a few more."""
 
 
 def _written(left: float, right: float) -> bytes:
@@ -52,7 +55,8 @@ REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as a line that sets a pin: w (digital), x (PWM) or c (its direction)."""
+    """Say why these bytes must not be written as a line that sets a pin. Returns "" if they may be written. Such a line
+    has one of the commands w (digital), x (PWM) or c (the pin's direction)."""
     found = _AUX.fullmatch(frame)
     if not found:
         return "no line that sets a pin"
@@ -63,8 +67,8 @@ def check_aux(frame: bytes) -> str:
 
 
 def answers() -> LineReader:
-    """The reader of answers, because the board sends nothing else. Answers come in the order of the lines, and do not
-    say which line they belong to."""
+    """Make a reader for the answers. The board sends nothing but answers. They come in the order of the lines that were
+    written, but an answer does not say which line it belongs to."""
     return LineReader(_samples, LONGEST_ANSWER)
 
 

@@ -1,13 +1,13 @@
 """The lines that a driver may write to ros_arduino_bridge, and the answers that it waits for.
 
-They are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122): the last letter before the first
-space is the command; two arguments follow, each after one space, and a further space changes nothing; a CR runs the
-line, whatever it holds by then; numbers are atoi's, of 16 bits. An argument of more than 15 bytes would overwrite its
-neighbours in the board's memory, so such a line is refused.
+The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last letter
+before the first space. Two arguments follow, each after one space, and any further space changes nothing. A CR runs the
+line with whatever it contains by then. Numbers are read as atoi reads them, into 16 bits. An argument of more than 15
+bytes would overwrite the memory next to it on the board, so a line with such an argument is refused.
 
-Every line has one answer, in order. diffdrive_arduino takes a missing answer to `e`, or another one in its place, for
-the counts 0 0; hbrobotics' node asks again forever when `u r w x c s m` are answered by anything but `OK`. So a line
-that is refused is still answered as the board would answer it, without its effect.
+Every line gets one answer, in order. If diffdrive_arduino misses the answer to `e`, or gets a different one, it reads
+the counts as 0 0. If hbrobotics' node gets any answer but `OK` to `u r w x c s m`, it asks again forever. So a refused
+line is answered as the board would answer it, but has no effect.
 """
 
 from __future__ import annotations
@@ -28,23 +28,26 @@ _CR, _SPACE = 13, 32
 _ARGUMENT = 15
 """How many bytes of an argument fit into the firmware's memory."""
 _MOST = 32767
-"""The largest number that the firmware's 16-bit integers hold. A larger one would wrap around to another speed."""
+"""The largest number that the firmware's 16-bit integers hold. A larger number would wrap around to another speed."""
 _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
-"""No wheel makes more counts a second than this."""
+"""The highest speed of a wheel, in counts per second."""
 _NEAR_ZERO = _FASTEST / 4
-"""After a restart a board counts from 0 again, and is asked for its counts soon."""
+"""If a counter is this close to 0, the board may have restarted, because a restarted board counts from 0 again and is
+soon asked for its counts."""
 _WRAPS = 2**32
 _OK = b"OK\r\n"
 _INVALID = b"Invalid Command\r\n"
 _REST = (0.0, 0.0)
 
 PATIENCE_NS = 1_000_000_000
-"""diffdrive_arduino's default timeout; hbrobotics' node waits longer."""
+"""How long a driver waits for an answer: the default timeout of diffdrive_arduino. hbrobotics' node waits longer."""
 _LOST_NS = 100_000_000
-"""After this time without an answer the board is asked again; failstop itself asks ten times a second."""
+"""If the board has not answered a question for counts after this time, it is asked again. failstop itself asks ten
+times a second."""
 _STEADY_NS = 200_000_000
-"""A driver that asks for counts at least this often gets those of its last question."""
+"""If a driver asks for counts at least this often, each answer has the counts that the board reported to the question
+before."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -60,41 +63,42 @@ _WITHOUT_EFFECT = {
     ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
-"""Commands that change nothing on the board, each with (answer, what it is, why it has no effect). `r` only sets the
-counts that the driver sees to zero, so it is not refused."""
+"""Commands that change nothing on the board. Each has its answer, its name, and the reason why it has no effect. `r` is
+not refused, because it only sets the counts that the driver sees to zero."""
 
 
 class ArduinoDriver:
-    """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening.
+    """One driver's lines, and the counts that it sees. The counts begin at 0, because on the bare board, opening the
+    port resets the board.
 
-    An `e` is answered at once, and the board is asked for the next counts. The answer has the counts that the board
-    reported to the driver's last `e`, so a driver that asks at a steady rate gets counts that are one of its own
-    periods old each time. Counts that failstop reads for itself come in between, so they would be of any age: they
-    answer only a driver that asks too seldom.
+    When the driver sends `e`, it is answered at once, and the board is asked for its next counts. The answer has the
+    counts that the board reported after the driver's previous `e`. So if a driver asks at a steady rate, its counts are
+    always one of its own periods old. failstop also reads counts for itself, but at other times, so their age would
+    vary. A driver gets those counts only if it asks too seldom.
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
-        """`pins`: the pins that the driver may set."""
+        """`pins` are the pins that the driver may set."""
         self._pins = pins
         self._asked_ns = 0
-        """When the board was asked for counts because the driver sent an `e`; 0: it has answered since."""
+        """When the board was asked for counts because the driver sent an `e`. 0 if the board has answered since."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._command = 0
         self._at = 0
-        """Which argument the next bytes belong to; 0: none yet."""
+        """Which argument the next bytes belong to, 1 or 2. 0 before the first space."""
         self._arguments = (bytearray(), bytearray())
         self._too_long = False
         self._reader = codec.answers()
         self._counted: tuple[int, int] | None = None
-        """The board's counters, as it reported them last."""
+        """The board's counters in its newest report."""
         self._counted_ns = 0
         self._counts = [0, 0]
-        """The newest counts."""
+        """The newest counts, as the driver sees them."""
         self._kept, self._kept_ns = [0, 0], -_STEADY_NS
-        """The counts that the board reported to the driver's last question, and when."""
+        """The counts that the board reported to the driver's last `e`, and the time of this report."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's lines."""
+        """Return what the driver asks for with its lines."""
         rows: list[Row] = []
         for byte in chunk:
             if byte == _CR:
@@ -112,7 +116,7 @@ class ArduinoDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the board's counts. Nothing is passed on, because this board only answers."""
+        """Keep the counts that the board reports. Nothing is passed on, because this board only answers."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
                 left, right = sample.positions
@@ -122,7 +126,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Go on with the counts of this driver, because its odometry would jump if they began again."""
+        """Go on with the counts of the conversation before. If the counts began at zero again, the driver's odometry
+        would jump."""
         self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -165,14 +170,15 @@ class ArduinoDriver:
         return [DriverRefusal(what, why), DriverMotion(_REST, refused=True), DriverAnswer(_INVALID)]
 
     def _ask(self, now_ns: int) -> list[Row]:
-        """The question for the next counts, unless one is waiting for its answer."""
+        """Return the question for the next counts. Empty if an earlier question still waits for its answer."""
         if self._asked_ns and now_ns - self._asked_ns < _LOST_NS:
             return []
         self._asked_ns = now_ns
         return [DriverFrame(codec.POSITIONS, "counts")]
 
     def _pin(self) -> DriverFrame | None:
-        """The line as failstop writes it, if it sets a pin that the driver may set."""
+        """Return the line in failstop's own spelling, if it sets a pin that the driver may set. None for any other
+        line."""
         command = chr(self._command)
         pin, value = (_atoi(bytes(argument)) for argument in self._arguments)
         line = f"{command} {pin} {value}\r".encode()
@@ -192,18 +198,19 @@ class ArduinoDriver:
 
 
 def _atoi(text: bytes) -> int:
-    """The number at the beginning of a text; 0 if there is none. Digits after a NUL do not count."""
+    """Return the number at the beginning of a text, as the firmware's atoi reads it. 0 if the text begins with no
+    number. Digits after a NUL byte do not count."""
     found = _NUMBER.match(text.partition(b"\0")[0])
     return int(found[1]) if found else 0
 
 
 def _wrapped(count: int) -> int:
-    """The value as the board's counters of 32 bits would hold it."""
+    """Return the count as it wraps around in the board's 32-bit counters."""
     return (count + _WRAPS // 2) % _WRAPS - _WRAPS // 2
 
 
 def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
-    """Begin a driver's conversation. Raises ValueError for the setting guard.pins."""
+    """Begin a driver's conversation. Raises ValueError if the setting guard.pins names a pin that may drive a motor."""
     words = str(settings.get("guard.pins", "")).split()
     pins = [int(word) if word.isdigit() else -1 for word in words]
     if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:

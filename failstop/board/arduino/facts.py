@@ -1,4 +1,4 @@
-"""The facts about an Arduino with ros_arduino_bridge that are needed before a Board is made."""
+"""What the settings must know about an Arduino with ros_arduino_bridge before a Board is made."""
 
 from __future__ import annotations
 

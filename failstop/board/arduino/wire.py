@@ -1,10 +1,14 @@
-"""The Arduino bridge's wire: a CR before the stop, and never more unanswered lines than its buffer can hold answers to.
+"""The wire of ros_arduino_bridge. A CR comes before each stop, and failstop limits how many lines may be unanswered,
+because the board can hold only a few answers.
 
-A stop is answered by 21 bytes, three times its own length, and the question for positions by 25. The firmware waits
-while its buffer of 63 bytes of answers is full. Meanwhile its receive buffer of 63 bytes drops the newest bytes: a
-stop, or the sign and space between digits. With two lines and 15 glued stops, which is everything that three writers
-repeat, nothing is lost (tests/board/test_stop_of_every_board.py). Its USB identities are those of Arduino's own Uno and
-Mega (boards.txt of the core for AVR); a clone has an adapter's.
+The board answers a stop with 21 bytes, three times the length of the stop, and the question for positions with 25. When
+63 bytes of answers wait to be sent, the firmware waits. Meanwhile its receive buffer fills up, which also holds 63
+bytes, and then drops the newest bytes. These could be a stop, or the sign and the space between two numbers. With two
+unanswered lines and 15 joined stops, which is all that three writers repeat, nothing is lost
+(tests/board/test_stop_of_every_board.py).
+
+The USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR). A clone has the identity of
+its adapter chip, so clones are not listed.
 """
 
 from __future__ import annotations
@@ -45,14 +49,14 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 WIRE = Wire(
     name="an Arduino with ros_arduino_bridge",
-    # Opening raises DTR, which resets the board; its bootloader waits 1.4 s for a program.
+    # Opening the port raises DTR, which resets the board. Its bootloader then waits 1.4 s for a program.
     port=Port(baud=57_600, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
     stop=TimedStop(
         writes=(Write(0, codec.STOP),),
         after_ns=0,
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),
     ),
-    # An answer of 25 bytes takes this long, so by then nothing is unanswered unless the board is held up.
+    # An answer of 25 bytes takes this long on the line. So nothing is unanswered by then, unless the board is held up.
     pace=Pace(idle_ns=4_400_000, unanswered=2),
     watchdog=Watchdog(
         after_ns=2000 * _MS,
@@ -79,11 +83,11 @@ WIRE = Wire(
     ),
     reader=codec.answers,
     proofs=(ANSWERED, OBSERVED),
-    # Positions ten times a second, which is enough for navigation.
+    # Positions are asked for ten times a second, which is enough for navigation.
     ping_ns=50 * _MS,
     echo_ns=0,
-    # Every other question asks for positions. They are counters of 32 bits (`volatile long`, joshnewans 210a122,
-    # encoder_driver.ino), and turns by the same number as the speeds.
+    # Every other question asks for positions. They are 32-bit counters (`volatile long`, joshnewans 210a122,
+    # encoder_driver.ino). The same number converts positions and speeds to turns.
     reports=Reports(
         every_ns=300 * _MS,
         speed_per_rps=None,
@@ -93,9 +97,10 @@ WIRE = Wire(
         own_scale=False,
         position_step=1.0,
     ),
-    # Seven answers, because a busy computer may lose a few in a row. A short restart shows in its counters.
+    # As long as seven answers take, because a busy computer may lose a few in a row. The counters reveal a shorter
+    # restart.
     silent_ns=700 * _MS,
-    # The sketch of ros_arduino_bridge has 57600; about half of the robots that publish their files have changed it.
+    # The sketch of ros_arduino_bridge has 57600. About half of the robots that publish their files have changed it.
     other_bauds=(115_200,),
     usb=(
         *("2341:0043", "2341:0001", "2a03:0043", "2341:0243"),  # Uno

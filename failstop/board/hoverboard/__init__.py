@@ -1,1 +1,1 @@
-"""Hoverboard: a main board with hoverboard-firmware-hack-FOC, on its serial cable."""
+"""Hoverboard: the main board of a hoverboard with hoverboard-firmware-hack-FOC, connected by its serial cable."""

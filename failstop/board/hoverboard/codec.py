@@ -1,7 +1,8 @@
-"""Frames of hoverboard-firmware-hack-FOC: the command down and the feedback up, little-endian words and their xor.
+"""The command frames of hoverboard-firmware-hack-FOC. Firmware source: commit a0751d5.
 
-Down: start ABCD, steer, speed, xor. The board mixes left = speed + steer / 2 and right = speed - steer / 2 (its default
-coefficients), so steer is left - right and speed is the mean. Firmware source, commit a0751d5.
+A frame is four little-endian words: the start ABCD, steer, speed, and the xor of the first three words. With its
+default coefficients the board computes left = speed + steer / 2 and right = speed - steer / 2. So steer is left -
+right, and speed is the mean of left and right.
 """
 
 from __future__ import annotations
@@ -17,26 +18,27 @@ if TYPE_CHECKING:
 
 START = 0xABCD
 LIMIT = 1000.0
-"""The board clamps steer and speed to this. In its speed mode it means 1000 rpm, by default the full voltage."""
+"""The board clamps steer and speed to plus or minus this number. In speed mode it means 1000 rpm. By default it means
+the full voltage."""
 APART = 1000.0
-"""The largest steer: the board clamps it alone, so a wider difference would drive in another direction than
-commanded."""
+"""The largest difference between left and right, which is the largest steer. The board clamps steer alone, so with a
+larger difference the robot would drive in another direction than commanded."""
 UNIT = "thousandths of the voltage (VLT_MODE, the default) or rpm (SPD_MODE)"
 
 _COMMAND = Struct("<HhhH")
 
 
 def seal(steer: int, speed: int) -> bytes:
-    """The frame with these two words, without checks."""
+    """Return the frame with these two words. The words are not checked."""
     check = START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF)
     return _COMMAND.pack(START, steer, speed, check)
 
 
 def motion(both: Sequence[float], limit: float) -> bytes:
-    """The frame for left and right, each within plus or minus `limit`. Raises FrameError.
+    """Return the frame for left and right, each within plus or minus `limit`. Raises FrameError.
 
-    Speeds become whole numbers, truncated towards zero. If their sum is odd, the larger one is reduced by one more,
-    because the board would round half a unit in the mean, and a wheel at rest would creep backward.
+    Speeds become whole numbers, truncated towards zero. If their sum is odd, the larger speed is made smaller by one
+    more. Otherwise the board would round half a unit in the mean, and a wheel at rest would creep backward.
     """
     left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
@@ -53,14 +55,14 @@ STOP = motion((0.0, 0.0), 0.0)
 
 
 def wheels(steer: int, speed: int) -> tuple[float, float]:
-    """The speeds of left and right as the board mixes them: rounded down, then clamped."""
-    # In sixteenths of a unit, as the firmware computes.
+    """Return the speeds of left and right as the board mixes them: rounded down, then clamped."""
+    # Computed in sixteenths of a unit, as in the firmware.
     left, right = (speed * 16 + steer * 8) >> 4, (speed * 16 - steer * 8) >> 4
     return max(-LIMIT, min(left, LIMIT)), max(-LIMIT, min(right, LIMIT))
 
 
 def _words(frame: bytes) -> tuple[int, int] | None:
-    """Steer and speed in bytes that look like a command frame, whether or not their xor is right."""
+    """Return steer and speed if these bytes look like a command frame. The xor is not checked."""
     if len(frame) != _COMMAND.size:
         return None
     start, steer, speed, _ = _COMMAND.unpack(frame)
@@ -68,25 +70,25 @@ def _words(frame: bytes) -> tuple[int, int] | None:
 
 
 def _exact(steer: int, speed: int) -> tuple[float, float]:
-    """The speeds of left and right before the board clamps them."""
+    """Return the speeds of left and right before the board clamps them."""
     return speed + steer / 2, speed - steer / 2
 
 
 def speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right in a command frame, exactly; None for other bytes."""
+    """Return left and right in a command frame, without rounding. None for other bytes."""
     found = _words(frame)
     return _exact(*found) if found and seal(*found) == frame else None
 
 
 MARKS = (0, 1, 0, 2)
-"""How many units slower a frame is made when it is sent again and again, in turn. Of any three in a row the middle one
-may be lost, and the echo still shows which of the others it is."""
+"""How many units slower a frame gets each time it is sent again, in turn. If the middle one of any three frames in a
+row is lost, the echo still shows which of the other two it belongs to."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:
-    """The motion frame with both wheels slowed by the mark of this turn, without stopping either of them, because the
-    echo of a steady speed would not show whether frames still arrive. If only one wheel turns, it is slowed by twice as
-    much, because the sum must stay even."""
+    """Return the motion frame with both wheels slowed by the mark of this turn. Without marks, the echo of a steady
+    speed would not show whether frames still arrive. A turning wheel is never stopped by its mark. If only one wheel
+    turns, it is slowed by twice as much, because the sum of the two speeds must stay even."""
     if (found := _words(frame)) is None:
         return frame
     both = [int(each) for each in _exact(*found)]
@@ -100,7 +102,8 @@ def marked(frame: bytes, turn: int) -> bytes:
 
 
 def check_motion(frame: bytes, limit: float) -> str:
-    """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+    """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
+    bytes."""
     found = _words(frame)
     if found is None:
         return "not a command frame"
@@ -108,5 +111,5 @@ def check_motion(frame: bytes, limit: float) -> str:
         return "bad xor"
     if abs(found[0]) > APART:
         return f"steer {found[0]}, must be within {APART:g}"
-    # Check the exact values, so that values hidden by the board's clamps are refused too.
+    # Check the speeds before the board's clamps, because a clamp could hide a speed that is too high.
     return beyond(_exact(*found), limit, LIMIT)

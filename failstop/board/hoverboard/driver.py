@@ -1,15 +1,16 @@
 """The frames that a driver may write to hoverboard-firmware-hack-FOC, and the feedback that it hears.
 
-A driver writes eight bytes, ten to a hundred times a second, and expects the board's feedback unasked. The board takes
-a frame that stands alone between two gaps. A pseudo-terminal keeps no gaps, so a frame is found wherever it begins. The
-wheels are computed as the board mixes them, whatever the driver meant.
+A driver writes frames of eight bytes, ten to a hundred times a second, and expects the board's feedback without asking.
+The board finds a frame by the silence before and after it. A pseudo-terminal keeps no silences, so here a frame is
+found wherever it begins. The wheel speeds are computed as the board mixes them, whatever the driver meant.
 
-A frame that was cut can pass the check together with the next one, with any speed: cdab0000 and a stop make full speed
-backward. No driver writes a word that looks like a start, so eight bytes with a start among them are no frame.
+A cut frame and the frame after it can pass the check together as one frame, with any speed. For example, the cut frame
+cdab0000 and a stop make full speed backward. No driver writes a word that looks like the start of a frame. So eight
+bytes with another start among them are not taken for a frame.
 
-Firmware source, commit a0751d5. Its feedback has 18 bytes, that of the fork for hoverboard-robotics' ROS driver 22
-(24955d6), and a branch that sends two currents as well 26 (c7152c1). The driver was built for its board, so it gets
-the frames as they came.
+Firmware source: commit a0751d5. Its feedback has 18 bytes. The fork for hoverboard-robotics' ROS driver sends 22
+(24955d6), and a branch that also sends two currents sends 26 (c7152c1). The driver was built for the board that it has,
+so it gets the feedback frames unchanged.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""After this long without feedback a driver considers the board disconnected. The board answers no question."""
+"""A driver that has got no feedback for this long considers the board disconnected. The board answers no questions."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
-"""The check may begin at this byte, which may look like a start: in any frame of two equal words it does."""
+"""The byte of a frame where its check begins. Only the bytes before it are searched for another start, because the
+check itself may look like one: in any frame of two equal words it does."""
 _TOGETHER_NS = 20_000_000
-"""If the rest of a frame comes later than this, it does not belong to it: an adapter holds bytes back for 16 ms, and
-the board drops incomplete bytes as soon as the line is idle."""
+"""If the rest of a frame comes later than this, it does not belong to the frame. An adapter holds bytes back for 16 ms,
+and the board drops incomplete bytes as soon as the line is idle."""
 _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
@@ -43,7 +45,7 @@ _NO_FRAME = DriverRefusal(
 
 
 class HoverboardDriver:
-    """One driver's frames, and the feedback that it gets."""
+    """One driver's frames, and the feedback that the driver gets."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
@@ -52,10 +54,10 @@ class HoverboardDriver:
         self._kept_ns = 0
         self._heard = b""
         self._length = 0
-        """The length of the board's feedback frames, bytes. 0: not known yet."""
+        """The length of the board's feedback frames, in bytes. 0 while it is not known."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's frames."""
+        """Return what the driver asks for with its frames."""
         rows: list[Row] = []
         if not chunk:
             return rows
@@ -81,7 +83,7 @@ class HoverboardDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's feedback, in whole frames of either length."""
+        """Pass on the board's feedback in whole frames, whichever length they have."""
         data, at = self._heard + chunk, 0
         frames: list[bytes] = []
         while (at := data.find(_HEAD, at)) >= 0:
@@ -93,13 +95,14 @@ class HoverboardDriver:
                 break
             else:
                 at += 1
-        # Without a start, its first byte may still be the last that came.
+        # If no start was found, the last byte may still be the first byte of one.
         self._heard = data[at:] if at >= 0 else data[-1:]
         return frames
 
     def _whole(self, data: bytes, at: int) -> int:
-        """The length of the feedback frame that begins here; 0 if none does. A length that is not known yet counts only
-        if another frame follows, because some of the bytes of two frames can pass the check too."""
+        """Return the length of the feedback frame that begins at `at`, or 0 if none does. While the length is not
+        known, a frame counts only if another frame follows it, because parts of two frames can pass the check
+        together."""
         if self._length and _checked(data[at : at + self._length], self._length):
             return self._length
         for length in _LENGTHS:
@@ -109,7 +112,8 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Where the next start is, or may begin with the last byte; the end of the bytes if there is none."""
+    """Return the place of the next start. If there is none, return the place of the last byte if it may begin a start,
+    or else the end of the bytes."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 
@@ -119,7 +123,7 @@ def _dropped() -> list[Row]:
 
 
 def _speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right in a frame, as the board clamps and mixes them; None if it is not a frame."""
+    """Return left and right in a frame, as the board clamps and mixes them. None if the bytes are not a frame."""
     start, steer, speed, check = _COMMAND.unpack(frame)
     if start != codec.START or check != start ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
         return None
@@ -143,5 +147,5 @@ def _checked(frame: bytes, length: int) -> bool:
 
 
 def language(_settings: Mapping[str, float | str]) -> HoverboardDriver:
-    """Begin a driver's conversation. It needs no setting."""
+    """Begin a driver's conversation. It needs no settings."""
     return HoverboardDriver()

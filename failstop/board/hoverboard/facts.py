@@ -1,4 +1,4 @@
-"""The facts about a hoverboard that are needed before a Board is made."""
+"""What the settings must know about a hoverboard before a Board is made."""
 
 from __future__ import annotations
 

@@ -1,16 +1,19 @@
-"""The hoverboard's wire: a stop stands alone between idle gaps, and each writer repeats it at its own times.
+"""The wire of a hoverboard. A stop must have silence before and after it, and each writer repeats it at its own times.
 
-Whenever the line falls idle, the receiver looks at what came since its last look, and takes exactly eight bytes: two
-frames without a gap are dropped together. It also looks at the end of each of its own feedback frames, every 10.1 ms,
-and drops a half-received frame then, so a lone stop is lost in 6.1 % of cases. So each writer repeats, at its own
-times. Whichever of two writers begins, and however much later the other one, at most one pair of their early writes
-touches besides the first, and one more is lost to the feedback. The stop of one or two writers is accepted within 12
-ms, that of three within 40 ms (tests/board/test_stop_of_every_board.py). The port owner mostly writes alone: its second
-write comes so late that a host which holds the first back for a few ms does not send both at once. If a host is held up
-again and again, repeats reach the board in pairs and are lost, which is why some come as late as 53 to 116 ms.
+Whenever the line falls idle, the receiver looks at the bytes that came since it last looked, and accepts exactly eight.
+So two frames without a gap between them are both dropped. The receiver also looks at the end of each of its own
+feedback frames, every 10.1 ms, and drops a frame that is half received then. This loses a single stop in 6.1 % of
+cases.
 
-An adapter that stalls sends everything it kept at once, and the board drops all of it. So the repeats go on until 100
-ms after the longest stall (0.3 s) that every board is tested with, at times at which no two writers touch and no two
+So each writer repeats its stop, at times of its own. Take any two writers, whichever begins first and however much
+later the second one begins. Apart from their first stops, at most one pair of their early stops touches, and one more
+stop is lost to the feedback. With one or two writers a stop is accepted within 12 ms, with three within 40 ms
+(tests/board/test_stop_of_every_board.py). Mostly the port owner writes alone. If a computer holds back its first stop
+for a few ms, the second one comes so late that the two are not sent together. If a computer is held up again and again,
+repeats reach the board in pairs and are lost. That is why some repeats come as late as 53 to 116 ms.
+
+An adapter that stalls sends everything it has kept at once, and the board drops all of it. Every board is tested with
+stalls of up to 0.3 s. So the repeats go on for 100 ms longer than that. At their times no two writers touch, and no two
 repeats of one writer fall on the same place in the feedback.
 """
 
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 IDLE_NS = 200_000
-"""A little more than the time of two bytes: the receiver sees an idle line after one."""
+"""A little more than two bytes take on the line. The receiver considers the line idle after the time of one byte."""
 _MS = 1_000_000
 
 
@@ -90,9 +93,10 @@ WIRE = Wire(
     reader=Feedback,
     proofs=(ECHOED, OBSERVED),
     ping_ns=0,
-    # Two of its feedbacks, the stop's transmission, one of its loops, and an adapter that holds bytes back for 16 ms.
+    # The time of two feedback frames, the stop's own transmission, one loop of the firmware, and 16 ms for which an
+    # adapter may hold bytes back.
     echo_ns=50 * _MS,
-    # Always rpm, whatever the commands mean; in its usual mode they are a voltage.
+    # The reports are always in rpm. The commands are a voltage in the board's usual mode.
     reports=Reports(
         every_ns=20 * _MS,
         speed_per_rps=lambda _per_rps, _diameter_m: 60.0,
@@ -101,7 +105,7 @@ WIRE = Wire(
         holds_speed=False,
         own_scale=True,
     ),
-    # A busy computer explains any shorter pause. A short restart shows in its echo.
+    # A busy computer can cause any shorter pause. The echo reveals a shorter restart.
     silent_ns=600 * _MS,
     commanders=(
         Commander(

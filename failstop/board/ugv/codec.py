@@ -1,12 +1,15 @@
-"""Lines of JSON for Waveshare's ugv_base_ros: the commands down and the reports up. Firmware source, commit c967326.
+"""The lines of JSON for Waveshare's ugv_base_ros: commands to the board, and reports from it. Firmware source: commit
+c967326.
 
-The stop begins with a line feed, which ends whatever was cut before: a cut line is no JSON and is ignored. Braces are
-never left out or emptied: `{}`, `null` or the tail of a line stop the wheels and switch an arm's torque off. Motion is
-T:1 alone: T:13, which the vendor's ROS 2 driver sends, does not feed the board's watchdog.
+The stop begins with a line feed, which ends any line that was cut before. A cut line is not JSON, so the board ignores
+it. Every line is a whole object with fields. The board would take `{}`, `null` or the tail of a line for a command that
+stops the wheels and switches an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends T:13
+instead, which does not feed the board's watchdog.
 
-A line has no check, so a speed is written such that a byte lost on the cable can't make it larger: 0.171 m/s is
-`17100e-5`. A lost digit makes it smaller; without all of its exponent it is more than 2, which the board ignores. In
-0.171 a lost point would make 171 of it, and in 1e-3 a lost 3 makes 1, which ArduinoJson takes.
+A line has no checksum. So a speed is written so that a byte lost on the cable can't make it larger. For example, 0.171
+m/s is `17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2,
+which the board ignores. Shorter spellings are not safe: in `0.171` a lost point would make 171, and in `1e-3` a lost 3
+would make 1, which ArduinoJson accepts.
 """
 
 from __future__ import annotations
@@ -21,39 +24,41 @@ from failstop.board.wire import Answer, Battery, Imu, Restarted, Sample, Wheels
 
 STOP = b'\n{"T":1,"L":0,"R":0}\n'
 SPEED_RATE = b'{"T":139}\n'
-"""A question that changes nothing. Never use T:128 for this, because it overwrites a calibration."""
+"""A question that changes nothing. Never ask with T:128, because it overwrites a calibration."""
 ATTITUDE = b'{"T":126}\n'
 LIMIT = 2.0
-"""The board ignores a faster command without a word, keeps the old speed, and feeds its watchdog."""
+"""The highest speed that the board accepts, in m/s. It silently ignores a faster command and keeps the old speed, but
+the command still feeds its watchdog."""
 STEP = 0.001
 UNIT = "m/s (on ugv_base_general's Rover and RaspRover a share of the PWM)"
 WATCHDOG_MS = (100, 3000)
-"""The range that failstop sets. 0 would end every motion after 1 ms."""
+"""The range of times that failstop can set, in ms. A time of 0 would end every motion after 1 ms."""
 
 REPORT = 1001
 ANSWERS = (139, 1002)
-"""The answer to each question. An answer has more fields than its T, because a line that only sends the question back
-is not from a board."""
+"""The T of the answer to each question. A line that has only a T is not an answer, because a device that sends the
+question back would send such a line."""
 LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
        134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
        141: "the gimbal (T:141)"}  # fmt: skip
-"""The commands that move no wheel, by their T, with a name for people."""
+"""The commands that move no wheel: their T, with a name for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
-"""How a T is written. If it were `133`, the loss of one byte on the cable would make it T:13, which drives."""
+"""How the T of each of these commands is written. If `133` were written plainly, a byte lost on the cable could turn it
+into T:13, which drives the wheels."""
 _AUX_BYTES = 128
 RADIO_OFF = b'{"T":3e2,"mode":0}\n'
-"""Makes the board ignore ESP-NOW, because anybody nearby could drive it that way."""
+"""The line that makes the board ignore ESP-NOW radio. Anybody nearby could drive the robot by this radio."""
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
-"""Part of the line that the ESP32's ROM prints at every reset, at the same baud rate: rst:0xf (BROWNOUT_RST),boot:0x13
-(...)."""
+"""Part of the line that the ESP32's ROM prints at every reset, at the same baud rate, for example rst:0xf
+(BROWNOUT_RST),boot:0x13 (...)."""
 _SPEED = rb"(0|-?[1-9]\d{0,3}00e-5)"
 _LINE = re.compile(rb'\{"T":1,"L":%b,"R":%b\}\n' % (_SPEED, _SPEED))
 _ACCEL = 9.80665 / 8192
-"""m/s^2 per unit: the IMU's range is 4 g."""
+"""m/s^2 per unit of the IMU's accelerometer, whose range is 4 g."""
 _GYRO = pi / 180 / 16.4
-"""rad/s per unit: the IMU's range is 2000 degrees per second."""
+"""rad/s per unit of the IMU's gyro, whose range is 2000 degrees per second."""
 
 
 def _speed(speed: float) -> str:
@@ -75,8 +80,8 @@ _AUX_LINE = re.compile(rf'\{{"T":(?:{"|".join(map(re.escape, _AUX_T.values()))})
 
 
 def aux(kind: int, fields: dict[str, object]) -> bytes:
-    """The line for lights, gimbal or display, with numbers and short texts; empty if it does not fit. `kind`: one of
-    AUX."""
+    """Return the line for lights, gimbal or display. `kind` is one of AUX, and the fields are numbers and short texts.
+    Empty if the line would be too long or has a field that is not known."""
     rest = "".join(f",{json.dumps(key)}:{json.dumps(_short(value))}" for key, value in fields.items())
     line = f'{{"T":{_AUX_T[kind]}{rest}}}\n'.encode()
     return b"" if check_aux(line) else line
@@ -87,7 +92,8 @@ def _short(value: object) -> object:
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as a line for lights, gimbal or display; "" if they may."""
+    """Say why these bytes must not be written as a line for lights, gimbal or display. Returns "" if they may be
+    written."""
     if frame == RADIO_OFF:
         return ""
     if len(frame) > _AUX_BYTES or not _AUX_LINE.fullmatch(frame.decode("ascii", "replace")):
@@ -96,15 +102,15 @@ def check_aux(frame: bytes) -> str:
 
 
 def watchdog(after_ns: int) -> bytes:
-    """The line that makes the board stop its wheels this long after the last motion line. The board forgets it when it
-    loses power, and does not answer it. Raises FrameError."""
+    """Return the line that sets the board's own watchdog: the board then stops its wheels this long after the last
+    motion line. The board does not answer this line, and forgets the time when it loses power. Raises FrameError."""
     after_ms = integer("watchdog in ms", after_ns // 1_000_000, *WATCHDOG_MS)
     return f'\n{{"T":136,"cmd":{after_ms}}}\n'.encode()
 
 
 def reports() -> LineReader:
-    """The reader of lines, each of which is a report. A line that is not a JSON object is dropped, because the board
-    prints text while it starts."""
+    """Make a reader for the board's lines. Each line is a report. A line that is not a JSON object is dropped, because
+    the board prints text while it starts."""
     return LineReader(_samples, LONGEST_LINE)
 
 
@@ -124,7 +130,7 @@ def _samples(line: bytes) -> list[Sample]:
 
 
 def _numbers(said: dict[str, object], *names: str) -> tuple[float, ...]:
-    """The values of these names, finite or not; empty if one is missing or not a number."""
+    """Return the values of these names, finite or not. Empty if one of them is missing or not a number."""
     found = [said.get(name) for name in names]
     numbers = [_float(value) for value in found if isinstance(value, (int, float)) and not isinstance(value, bool)]
     return tuple(numbers) if len(numbers) == len(names) else ()
@@ -142,7 +148,7 @@ def _report(said: dict[str, object]) -> list[Sample]:
     speeds, positions = _numbers(said, "L", "R"), _numbers(said, "odl", "odr")
     if speeds or positions:
         found.append(Wheels(speeds, positions))
-    # With an arm, ax to az are where its hand is.
+    # On a robot with an arm, ax, ay and az are the position of its hand.
     accel, gyro = _numbers(said, "ax", "ay", "az"), _numbers(said, "gx", "gy", "gz")
     if accel and gyro and "ab" not in said:
         ax, ay, az = accel

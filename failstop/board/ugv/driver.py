@@ -1,10 +1,12 @@
 """The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and what it hears.
 
-T:1 sets the wheels' speeds and T:13 those of the base, both as numbers or, for T:13, as texts of numbers: the vendor's
-ROS 2 node sends its T as a text. A line without T counts as T:0, the board's emergency stop, which is a stop here
-without taking the torque from an arm. The board acknowledges nothing, so a refused line needs no answer. What it
-reports is passed on: T:1001 twenty times a second, thinned out as the driver asked for. Answers to failstop's own
-questions are kept, and given to a driver that asks the same.
+T:1 sets the speeds of the wheels, and T:13 the speed and turn rate of the base. The values of T:13 may be numbers or
+texts of numbers. T itself may be a text too, because the vendor's ROS 2 node sends it as a text. A line without T
+counts as T:0, the board's emergency stop. failstop makes it a plain stop, so an arm keeps its torque.
+
+The board acknowledges nothing, so a refused line needs no answer. The board's reports are passed on: T:1001 comes
+twenty times a second, or less often if the driver has asked for that. Answers to failstop's own questions are kept, and
+given to a driver that asks the same question.
 """
 
 from __future__ import annotations
@@ -22,24 +24,25 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 OPENERS = 2
-"""How many programs may have the port open. Of the vendor's ROS 2 nodes, ugv_driver writes and ugv_bringup reads."""
+"""How many programs may have the port open. Of the vendor's two ROS 2 nodes, ugv_driver writes and ugv_bringup
+reads."""
 PATIENCE_NS = 1_000_000_000
-"""A question that has waited longer than this is answered only if it is the newest."""
+"""How long a driver waits for an answer. After a longer time only its newest question is answered."""
 _TRACK_M = 0.172
-"""The track of the widest base that this firmware knows, in m. The firmware uses it to turn T:13's Z into wheel speeds.
-The setting may give a smaller one."""
+"""The track of the widest base that this firmware knows, in m. The firmware uses the track to turn T:13's turn rate Z
+into wheel speeds. The setting wheels.track_m may make it smaller, but not larger."""
 _LONGEST = 4096
-"""How many bytes of a line are kept. The board keeps any number, but no driver writes so many."""
+"""How many bytes of a line are kept. The board itself keeps any number, but no driver writes so many."""
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""A report may come this much too early, because its time is not exact to the millisecond."""
+"""A report may come this much too early, because the board does not send reports exactly on the millisecond."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
-"""Each question with the T of the board's answer to it."""
+"""The T of each question, with the T of the board's answer."""
 _OWN = (1002, 139)
-"""The answers to failstop's own questions; a driver gets them only if it asks."""
+"""The answers to failstop's own questions. A driver gets these only if it asks for them."""
 _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
 _KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
@@ -48,23 +51,24 @@ _ODD = "a field in it is not known, or too long, so it was not passed on"
 
 
 class UgvDriver:
-    """One driver's lines, and what it hears of the board."""
+    """One driver's lines, and what the driver hears from the board."""
 
     def __init__(self, track_m: float) -> None:
-        """`track_m`: the distance between the left and the right wheels, which turns T:13's turn rate into speeds."""
+        """`track_m` is the distance between the left and the right wheels. It converts T:13's turn rate into wheel
+        speeds."""
         self.openers, self.patience_ns, self.past_ns = OPENERS, PATIENCE_NS, 0
         self._half_m = min(track_m, _TRACK_M) / 2.0
         self._line = b""
         self._too_long = False
         self._heard = b""
         self._kept: dict[int, bytes] = {}
-        """The board's newest line for each T that a question asks for."""
+        """The board's newest line for each T that answers a question."""
         self._flows = True
         self._every_ns = 0
         self._passed_ns = -60_000 * _MS
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's lines."""
+        """Return what the driver asks for with its lines."""
         *lines, self._line = (self._line + chunk).split(b"\n")
         rows: list[Row] = []
         for line in lines:
@@ -98,7 +102,8 @@ class UgvDriver:
         return self._setting(kind, fields)
 
     def _aux(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
-        """Handle lights, gimbal and display, in the spelling that failstop writes."""
+        """Return what a line for lights, gimbal or display asks for. It is passed on in the spelling that failstop
+        writes."""
         others = {key.decode("latin-1"): value for key, value in fields.items() if key != b"T"}
         texts = {key: value.decode("latin-1") if isinstance(value, bytes) else value for key, value in others.items()}
         line = codec.aux(kind, texts)
@@ -146,7 +151,7 @@ class UgvDriver:
         return [DriverRefusal(f"T:{kind}", why)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's reports, in whole lines, but not the answers to failstop's own questions."""
+        """Pass on the board's reports, in whole lines. The answers to failstop's own questions are not passed on."""
         *lines, rest = (self._heard + chunk).split(b"\n")
         self._heard = rest[-codec.LONGEST_LINE :]
         return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
@@ -155,10 +160,10 @@ class UgvDriver:
         try:
             said = json.loads(line)
         except (ValueError, RecursionError):
-            return False  # what it prints while it starts, or half a line
+            return False  # text that the board prints while it starts, or half a line
         kind = said.get("T") if isinstance(said, dict) else None
         if not isinstance(kind, int):
-            return False  # the vendor's node ends by an object without T
+            return False  # an object without T would end the vendor's node
         if kind in _ANSWERED_BY.values():
             self._kept[kind] = line.rstrip(b"\r")
         if kind in _OWN or not self._flows:
@@ -175,7 +180,7 @@ def _is_number(value: object) -> bool:
 
 
 def _float(value: object) -> float:
-    """The value as the board converts it: a text counts as the number in it, and anything else as 0."""
+    """Return the value as the board converts it. A text counts as the number in it, and anything else as 0."""
     if isinstance(value, bytes):
         try:
             value = lenient.number(value)
@@ -188,11 +193,11 @@ def _float(value: object) -> float:
 
 
 def _whole(value: object) -> int:
-    """The value rounded towards zero, and 0 if it does not fit into 32 bits."""
+    """Return the value rounded towards zero, or 0 if it does not fit into 32 bits."""
     found = _float(value)
     return int(found) if -(2**31) <= found < 2**31 else 0
 
 
 def language(settings: Mapping[str, float | str]) -> UgvDriver:
-    """Begin a driver's conversation with a base of these sizes."""
+    """Begin a driver's conversation. The setting wheels.track_m says how wide the base is."""
     return UgvDriver(float(settings.get("wheels.track_m", _TRACK_M)))

@@ -1,4 +1,4 @@
-"""Waveshare's UGV before a Board is made."""
+"""What the settings must know about Waveshare's UGV before a Board is made."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""JSON as ArduinoJson reads it from a line, for what a driver may write: it takes more than JSON.
+"""Reads JSON from a driver's line as ArduinoJson does, which accepts more than JSON.
 
-ArduinoJson (6.21, 7.2) takes single quotes, keys without quotes, numbers with a plus or without digits on one side of
-the point, and anything behind the first value. A NUL byte ends the line. What it refuses is refused here too: a motion
-that the board ignores must not turn a wheel.
+ArduinoJson (6.21, 7.2) accepts single quotes, keys without quotes, numbers with a plus, numbers without digits on one
+side of the point, and anything after the first value. A NUL byte ends the line. What ArduinoJson refuses is refused
+here too, because a motion that the board would ignore must not turn a wheel.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ _LITERAL = re.compile(rb"true|false|null")
 _NUMBER = re.compile(rb"([+-]?)(\d*)(?:(\.)(\d*))?(?:[eE]([+-]?)(\d*))?")
 _IN_NUMBER = re.compile(rb"[0-9+.eE-]*")
 _LONGEST_NUMBER = 63
-"""Bytes of a number that ArduinoJson has room for."""
+"""The longest number that ArduinoJson has room for, in bytes."""
 _MOST_POWER = 400
 _VALUES = {b"true": True, b"false": False, b"null": None}
 _ESCAPES = {ord("b"): 8, ord("f"): 12, ord("n"): 10, ord("r"): 13, ord("t"): 9}
 
 
 class NotTaken(ValueError):
-    """The board would ignore this line."""
+    """Raised for a line that the board would ignore."""
 
 
 def loads(line: bytes) -> object:
-    """The first value in a line; texts and the keys of objects are bytes. Raises NotTaken."""
+    """Return the first value in a line. Texts and the keys of objects are bytes. Raises NotTaken."""
     text = line.split(b"\0", 1)[0]
     value, at = _value(text, 0, _MOST_DEEP)
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -124,7 +124,7 @@ def _number(text: bytes, at: int) -> tuple[int | float, int]:
 
 
 def number(word: bytes) -> int | float:
-    """The value of a number in a text. Raises NotTaken."""
+    """Return the value of a number that is written as text. Raises NotTaken."""
     found = _NUMBER.fullmatch(word)
     if not found or not word.lstrip(b"+-") or word.lstrip(b"+-")[:1] in (b"e", b"E"):
         raise NotTaken("no number")

@@ -1,7 +1,9 @@
-"""The UGV's wire: a line feed before the stop, and a watchdog of the board's own, armed at each opening.
+"""The wire of Waveshare's UGV. A line feed comes before each stop, and failstop sets the board's own watchdog each time
+it opens the port.
 
-The receiver keeps a line of any length until its line feed, so the stop needs no idle line and may be glued to
-anything. Motion lines feed the watchdog; the refresh of a stop is a motion line too.
+The receiver keeps a line of any length until its line feed. So a stop may directly follow any other bytes, and needs no
+silence on the line before it. Motion lines feed the watchdog. The stop that is written again and again while the robot
+is stopped is a motion line too.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 WATCHDOG_NS = 500 * _MS
-"""More than twice the time after which a stop is written again."""
+"""The time that failstop sets. It is more than twice the time after which a stop is written again, so the watchdog does
+not act on a stopped robot."""
 
 
 def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
@@ -45,7 +48,7 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 WIRE = Wire(
     name="the driver board of a Waveshare UGV",
-    # Its serial pins have no modem lines; on USB both lines on or both off leave the ESP32 running.
+    # The board's serial pins have no modem lines. On USB the ESP32 keeps running if both lines are on or both are off.
     port=Port(
         baud=115_200,
         dtr=False,
@@ -86,8 +89,8 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=0,
     echo_ns=0,
-    # ugv_base_ros c967326, ugv_advance.h: T:1001 every 50 ms. L and R are m/s of the last loop, odl and odr whole cm,
-    # cut towards zero, by the size of wheel that its firmware has.
+    # ugv_base_ros c967326, ugv_advance.h: T:1001 comes every 50 ms. L and R are the speeds of the last loop in m/s. odl
+    # and odr are whole cm, cut towards zero, and computed with the wheel size that the firmware has.
     reports=Reports(
         every_ns=100 * _MS,
         speed_per_rps=lambda _per_rps, diameter_m: pi * diameter_m,
@@ -97,7 +100,7 @@ WIRE = Wire(
         own_scale=True,
         position_step=1.0,
     ),
-    # A busy computer explains any shorter pause. A short restart shows by its boot text and its odometers.
+    # A busy computer can cause any shorter pause. The boot text and the odometers reveal a shorter restart.
     silent_ns=600 * _MS,
     commanders=(
         Commander(
