@@ -1,1 +1,1 @@
-"""Damiao: two to four CAN servo motors, each of which turns a wheel, behind a serial CAN adapter."""
+"""Damiao: two to four CAN servo motors behind a serial CAN adapter. Each motor turns a wheel."""

@@ -1,17 +1,20 @@
-"""Frames of Damiao's motors on a CAN of 1 Mbit/s. Their firmware is closed; the sources are the vendor's manuals
-(DM-H3510 V1.0, DM-H6215 V1.0, DM-J4310P-2EC V1.3), its Python host (cmjang/DM_Control_Python 7da9387), and two hosts of
-others: damiao-motor 1.0.6 and enactic/openarm_can 9866604. Numbers here stand in at least two of them.
+"""The frames of Damiao's motors on a CAN of 1 Mbit/s.
 
-A motor takes a speed in rad/s of its output shaft, as a little-endian float, under 0x200 and its id; and under its id
-alone `ff ff ff ff ff ff ff` and fc to enable it, fd to disable it, fb to clear a fault. Under 0x7ff its registers are
-read (33) and written (55), and cc asks for a report. A register that was written holds until the power goes. Every
-frame to a motor is answered with a report: status and id, position, speed, torque, temperatures.
+Their firmware is closed. The sources are the vendor's manuals (DM-H3510 V1.0, DM-H6215 V1.0, DM-J4310P-2EC V1.3), the
+vendor's Python host (cmjang/DM_Control_Python 7da9387), and two other hosts: damiao-motor 1.0.6 and enactic/openarm_can
+9866604. Each number here is in at least two of these sources.
 
-A stop is the speed of zero: the motor brakes and holds. Disabling it would let it roll.
+A motor takes a speed under the CAN id 0x200 plus its own id, in rad/s of its output shaft, as a little-endian float.
+Under its own id it takes `ff ff ff ff ff ff ff` and one more byte: fc enables the motor, fd disables it, and fb clears
+a fault. Under 0x7ff its registers are read (33) and written (55), and cc asks for a report. A written register keeps
+its value until the power goes off. A motor answers every frame with a report: its status and id, position, speed,
+torque and temperatures.
 
-Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for so long switches itself off,
-and rolls until somebody clears that fault. So what is written before the first motion after each enable clears faults,
-and enables the motors. A motor that switches itself off while it drives counts as a restart, which stops the others.
+A stop is a speed of zero: the motor brakes and holds. Disabling it would let it roll.
+
+Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for that long switches itself off,
+and rolls until somebody clears this fault. So before the first motion after each enable, failstop clears the faults and
+enables the motors. If a motor switches itself off while it drives, this counts as a restart, which stops the others.
 """
 
 from __future__ import annotations
@@ -41,24 +44,26 @@ if TYPE_CHECKING:
 
 UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
-"""The fastest that any of these motors turns (DM-H3510)."""
+"""The highest speed of the fastest of these motors (DM-H3510), in rad/s."""
 MOST = 4
-"""How many motors the largest base has. A stop is always for this many."""
+"""How many motors the largest base has. A stop is always for this many motors."""
 STEPS = 64
-"""A speed is sent in steps of 1 rad/s divided by this. A float holds each step exactly."""
+"""How many steps of speed make 1 rad/s. Speeds are sent in whole steps, each of which a float holds exactly."""
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
 READ, WRITE, REPORT = 0x33, 0x55, 0xCC
 ENABLE, CLEAR = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfb"
 MOST_REGISTER = 81
 TIMEOUT, MODE, P_MAX, V_MAX = 9, 10, 21, 22
-"""Registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and speeds."""
+"""The registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and
+speeds."""
 ASKED = (TIMEOUT, MODE, P_MAX, V_MAX)
-"""The registers that questions read, one each, so an answer says which question it belongs to."""
+"""The registers that failstop's questions read. Each question reads another register, so an answer shows which question
+it belongs to."""
 SPEED_MODE = 3
 TICK_NS = 50_000
 MOST_TICKS = 0xFFFFFFFF
 ENABLED = 1
-"""The status of a motor that obeys. With 0 it is disabled, and other values are faults."""
+"""The status of a motor that obeys. 0 means that it is disabled, and all other values are faults."""
 FAULTS = {
     8: ("its voltage is too high", SERVO_VOLTAGE),
     9: ("its voltage is too low", SERVO_VOLTAGE),
@@ -69,34 +74,34 @@ FAULTS = {
     14: ("it is overloaded", SERVO_LOAD),
 }
 OFF_AFTER = 3
-"""If this many reports in a row say so, a motor that was enabled is off. A single report may say so while the motor is
-being enabled again."""
+"""If this many reports in a row say that an enabled motor is off, it is off. A single report may say so while the motor
+is being enabled again."""
 DIFFERS = 2
-"""If this many answers in a row differ from what a motor was armed with, the motor has lost it."""
+"""If this many answers in a row differ from the value to which a register was set, the motor has lost that value."""
 MISSES = 4
-"""If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A CANable drops a
-frame to the computer if it comes while an earlier one is still being sent."""
+"""If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A few lost
+answers are normal, because a CANable drops a frame for the computer that comes while it still sends the one before."""
 REPORT_EVERY = 20
-"""After this many answers, one report of temperatures is made: about one a second."""
+"""After this many answers the temperatures are reported, which is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
-"""A reported speed has 12 bits, and zero is between two values. A speed that is closer to zero than this may be
-noise."""
+"""A motor reports its speed in 12 bits, and zero is halfway between the two values next to _MIDDLE. A speed that is
+closer to zero than _NOISE may be noise."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
-    """The line that reads or writes a register of a motor, or asks for its report."""
+    """Return the line that reads or writes a register of a motor, or asks for its report."""
     return slcan.line(REGISTERS_ID, bytes((motor, 0, what, index)) + _COUNT.pack(value))
 
 
 def _lines(speeds: Iterable[float]) -> bytes:
-    """A line for each motor, with its speed in whole steps."""
+    """Return a line for each motor with its speed, truncated towards zero to whole steps."""
     whole = [int(speed * STEPS) / STEPS for speed in speeds]
     return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(whole, 1)])
 
 
 class Motors:
-    """The frames for motors with the ids 1, 2 and so on, in that order."""
+    """The frames for motors that have the ids 1, 2 and so on, in that order."""
 
     def __init__(self, count: int) -> None:
         self.wheels = count
@@ -112,7 +117,7 @@ class Motors:
         self.opening = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)
 
     def arm(self, time_ns: int) -> bytes:
-        """The frames that let the motors obey, and that set their watchdogs. Raises FrameError."""
+        """Return the frames that set the motors' watchdogs and enable the motors. Raises FrameError."""
         ticks = integer("time of the watchdog in steps of 50 us", time_ns // TICK_NS, 1, MOST_TICKS)
         lines: list[bytes] = []
         for motor in self._ids:
@@ -126,13 +131,13 @@ class Motors:
         return b"".join(lines)
 
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
-        """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        """Return the frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, UNIT)
         return _lines([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """The speeds in a frame for all motors; None for other bytes."""
+        """Return the speeds in a frame for all motors, or None for other bytes."""
         *lines, end = frame.split(slcan.CR)
         if end or len(lines) != self.wheels:
             return None
@@ -148,7 +153,8 @@ class Motors:
         return tuple(found)
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
+        bytes."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
@@ -157,8 +163,9 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def check_aux(self, frame: bytes) -> str:
-        """Why these bytes must not be written as another frame: nothing but a question for a register may. One beyond
-        the last register could become a value for a register, if two of its characters were lost."""
+        """Say why these bytes must not be written as a frame that is not motion. Returns "" for a question that reads a
+        register, the only frame that may be written. The register must exist. If two characters of another question
+        were lost, it could become a value for a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -166,7 +173,7 @@ class Motors:
         return "" if frame == known else "no question for a register of a motor"
 
     def replies(self) -> Replies:
-        """A reader for what these motors answer."""
+        """Make a reader for the answers of these motors."""
         return Replies(self.wheels)
 
 
@@ -176,15 +183,17 @@ class _Motor:
     def __init__(self) -> None:
         self.v_max = 0.0
         self.level: int | None = None
-        """The speed in its newest report, in steps of its scale, since the speeds of all motors were last returned."""
+        """The speed in the motor's newest report, in steps of its scale. None if no report came since the speeds of all
+        motors were last returned."""
         self.obeys = False
-        """True if the motor has reported that it is enabled, or should be because the motors were armed."""
+        """True if the motor has reported that it is enabled, or if it should be enabled because the motors were
+        armed."""
         self.off = 0
-        """How many of its reports in a row say that it does not obey."""
+        """How many of the motor's reports in a row say that it does not obey."""
         self.set = False
-        """Its registers should have what it was armed with."""
+        """True if the motor's registers should have the values that were set when the motors were armed."""
         self.differs = {TIMEOUT: 0, MODE: 0}
-        """For each of these registers, how many answers in a row differ from what it was armed with."""
+        """How many answers in a row differ from the value that was set, for each of these registers."""
         self.wrong = self.heat = self.misses = 0
 
 
@@ -195,19 +204,19 @@ class Replies(Reader):
         self._lines = slcan.Lines()
         self._motors = {motor: _Motor() for motor in range(1, count + 1)}
         self._set = {MODE: _COUNT.pack(SPEED_MODE)}
-        """What the registers of all motors were set to, by their answers."""
+        """The values to which the registers of all motors were set, as the motors' answers show them."""
         self._asked = 0
-        """The register that was read last."""
+        """The register that the newest question read."""
         self._answered: set[int] = set()
-        """Which motors have answered that question."""
+        """The motors that have answered the newest question."""
         self._last_report: tuple[int, ...] = ()
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
-        """The samples that these bytes complete."""
+        """Return the samples that these bytes complete."""
         found: list[Sample] = []
         for can_id, data in self._lines.frames(chunk):
-            # Those above are for motors, so another computer on the CAN sent them.
+            # CAN ids from SPEED_ID on are for motors. Another computer on the CAN sent such a frame.
             if can_id >= SPEED_ID:
                 continue
             if data[0] in self._motors and not data[1] and data[2] == WRITE:
@@ -219,8 +228,8 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """A motor has accepted a value for a register. The time of the watchdog is set when all motors are armed, so
-        from then on each of them should obey, even if one has heard nothing of it."""
+        """Handle a motor's answer that it has accepted a value for a register. The watchdog's time is set when all
+        motors are armed. So from then on every motor should obey, even if one of them has missed that frame."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -244,8 +253,9 @@ class Replies(Reader):
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 
     def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
-        """The sign of a restart if a motor has lost what it was armed with, because a speed would then mean something
-        else to it, or its watchdog would not act. A single answer may be garbled, so more than one must differ."""
+        """Return a sign of a restart if a motor has lost a value that was set when the motors were armed. Without the
+        mode, a speed would mean something else to the motor. Without the time, its watchdog would not act. A single
+        answer may be garbled, so more than one must differ."""
         motor = self._motors[number_]
         if not motor.set or index not in motor.differs:
             return []
@@ -279,7 +289,7 @@ class Replies(Reader):
                 motor.misses += number_ not in self._answered
 
     def _wheels(self) -> list[Sample]:
-        """The speeds of all motors, once each motor has reported its own speed and its scale."""
+        """Return the speeds of all motors, once each motor has reported its speed and its scale."""
         every = list(self._motors.values())
         speeds: list[float] = []
         for motor in every:

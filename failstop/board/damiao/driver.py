@@ -1,16 +1,20 @@
 """The lines that a driver may write to a slcan adapter with Damiao's motors, and what it hears.
 
-A driver opens the adapter, enables each motor, and then sets its speed, as damiao-motor 1.0.6 does through the slcan of
-python-can 4.6.1, the vendor's DM_Control_Python (7da9387) and, behind slcand, openarm_can (9866604). A speed frame may
-have four bytes or more, and lower-case digits, as the adapters take them. Each frame for a motor is answered by the
-motor's newest report, with the status that the driver has given it. A driver's question for a register goes to the
-motor, and so does the answer back; failstop's own answers are others.
+A driver opens the adapter, enables each motor, and then sets its speed. This is what damiao-motor 1.0.6 does through
+the slcan of python-can 4.6.1, and what the vendor's DM_Control_Python (7da9387) and openarm_can behind slcand (9866604)
+do. A speed frame may have four bytes or more, and lower-case digits, because the adapters accept both. Each frame for a
+motor is answered with the motor's newest report, whose status is the one that the driver has given it. A driver's
+question for a register is passed on to the motor, and the answer is passed back. Answers to failstop's own questions
+are not.
 
-failstop enables the motors itself and keeps the adapter open. So what a driver says of both is only remembered: a
-driver that has closed the adapter, or disabled a motor, moves nothing until it has opened or enabled it again. What has
-a torque or a position instead of a speed can't be limited, so it is refused and the wheels stop. They also stop for a
-line that is not whole. A CANable would complete it with the digits of an older line, so it could mean anything, and
-nothing moves until the driver has opened the adapter again, found or set the mode of speeds, and enabled each motor.
+failstop itself enables the motors and opens the adapter. So when a driver enables, disables, opens or closes something,
+this is only remembered. After a driver has closed the adapter, or disabled a motor, it moves nothing until it has
+opened or enabled it again. Commands for a torque or a position are refused, and the wheels stop, because failstop can't
+limit their speed.
+
+The wheels also stop after a line that is not whole. A CANable would complete it with digits of an older line, so it
+could mean anything. After that, nothing moves until the driver has opened the adapter again, has read or set the speed
+mode, and has enabled each motor.
 """
 
 from __future__ import annotations
@@ -28,18 +32,18 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""How long damiao-motor waits for the answer about a register."""
+"""How long damiao-motor waits for an answer about a register."""
 PAST_NS = 1_000_000_000
-"""Every motor has sent a report within this time."""
+"""A time within which every motor has sent a report."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
-"""Bytes of the shortest speed frame."""
+"""The length of the shortest speed frame, in bytes."""
 _LONGEST = 30
-"""Characters of a line after which a CANable begins the line again."""
+"""After this many characters of a line, a CANable drops them and begins a new line."""
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
-"""Modes by the hundreds of the CAN id that their commands have."""
+"""The modes of a motor. A command for a mode has a CAN id with this number of hundreds (hexadecimal)."""
 _NO_SPEED = {_MIT: "an MIT command", _POSITION: "a position", _FORCE: "a position with a force"}
 _STORE = 0xAA
 _USE_SPEEDS = "its speed can't be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"
@@ -57,29 +61,29 @@ class DamiaoDriver:
     """One driver's lines, and the answers to them."""
 
     def __init__(self, motors: int) -> None:
-        """`motors`: how many there are, with the CAN ids from 1 on."""
+        """`motors` is the number of motors. Their CAN ids are counted from 1."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
         self._speeds = [0.0] * motors
         self._enabled = [True] * motors
         self._takes_speeds = [True] * motors
-        """For each motor, True if it is in the mode of speeds, as far as the driver has said."""
+        """True for each motor that is in speed mode, as far as the driver has said."""
         self._open = True
         self._line = b""
         self._heard = slcan.Lines()
         self._reports: dict[int, tuple[int, bytes]] = {}
-        """The newest report of each motor, with the CAN id that it came under."""
+        """The newest report of each motor, with the CAN id under which the report came."""
         self._asked: set[tuple[int, int]] = set()
-        """The questions for registers, by motor and register, that were not answered yet."""
+        """The driver's questions for registers that have no answer yet, by motor and register."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's lines."""
+        """Return what the driver asks for with its lines."""
         *lines, rest = (self._line + chunk).split(slcan.CR)
         self._line = rest[: _LONGEST + 1]
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the reports for the driver's next frame. Answers about registers are passed on if the driver has
-        asked."""
+        """Keep the reports for the answers to the driver's next frames. Answers about registers are passed on if the
+        driver has asked for them."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):
             if can_id >= codec.SPEED_ID:
@@ -95,14 +99,15 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """Handle one line without its end. A CANable takes an empty line for the last one again; here it means nothing.
-        Zeros alone are no command, wherever the adapter begins its line again."""
+        """Handle one line without its end. A CANable repeats its last command at an empty line, but here an empty line
+        does nothing. A line of zeros does nothing either: it is not a command, wherever the adapter begins a new line
+        in it."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []
         if len(line) > _LONGEST:
             return self._unknown(_NO_LINE)
-        # An adapter looks at nothing but the first character of these.
+        # For these commands an adapter looks only at the first character.
         if command in (b"O", b"C"):
             self._open = command == b"O"
             return []
@@ -115,11 +120,12 @@ class DamiaoDriver:
         frame = slcan.frame_of(line, least=0)
         if frame is None:
             return self._unknown(_NO_LINE)
-        # An adapter that is closed would send it when it is opened.
+        # A closed adapter would keep the frame and send it when it is opened.
         return self._frame(*frame) if self._open else self._unknown(_CLOSED)
 
     def _unknown(self, why: DriverRefusal) -> list[Row]:
-        """From now on nobody knows what the bare adapter and its motors would do."""
+        """Stop the wheels after a line that could mean anything. From then on nobody knows what the bare adapter and
+        its motors would do, so the driver must set them up again."""
         self._open = False
         self._enabled = [False] * len(self._speeds)
         self._takes_speeds = [False] * len(self._speeds)
@@ -151,7 +157,8 @@ class DamiaoDriver:
         return [self._motion(), *self._report(motor)]
 
     def _switch(self, motor: int, what: int) -> list[Row]:
-        """Enable a motor, disable it, or clear its fault. Its speed is zero afterwards."""
+        """Enable a motor, disable it, or clear its fault. Enabling a disabled motor or disabling one sets its speed to
+        zero."""
         if what == _ZERO:
             return [
                 DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),
@@ -180,7 +187,7 @@ class DamiaoDriver:
         return [DriverRefusal(what_for, "it was not passed on")]
 
     def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
-        """Handle a value for a register. failstop has set the mode of speeds and the watchdog itself."""
+        """Answer or refuse a value for a register. failstop has already set the speed mode and the watchdog itself."""
         if index == codec.TIMEOUT:
             refused = DriverRefusal(
                 "the time of the motors' watchdog", "failstop sets it itself: this was only answered"
@@ -194,7 +201,7 @@ class DamiaoDriver:
         return [DriverRefusal(f"another mode for motor {motor}", _USE_SPEEDS), *self._stop()]
 
     def _taken(self, motor: int, data: bytes) -> list[Row]:
-        """The answer of a motor that has accepted a value for a register."""
+        """Return the answer of a motor that has accepted a value for a register."""
         can_id, _ = self._reports.get(motor, (0, b""))
         return [DriverAnswer(slcan.line(can_id, data))]
 
@@ -219,6 +226,6 @@ class DamiaoDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
-    """A driver's conversation, with as many motors as a frame has for the wheels of the settings."""
+    """Begin a driver's conversation. The number of motors is one more than the highest wheel id in the settings."""
     ids = [int(value) for key, value in settings.items() if key.startswith("wheels.id_")]
     return DamiaoDriver(1 + max(ids, default=1))

@@ -1,4 +1,4 @@
-"""The facts about Damiao's motors that are needed before a Board is made."""
+"""What the settings must know about Damiao's motors before a Board is made."""
 
 from __future__ import annotations
 

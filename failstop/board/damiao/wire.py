@@ -1,11 +1,12 @@
 """The wire of Damiao's motors behind a slcan adapter: a line for each motor, all in one write.
 
-Between two motors of a stop no process can die, because one write takes all lines. The kernel may take a part, which
-the writer's next burst or another writer's completes. A stop is always for four motors, because `failstop stop` and
-`failstop setup` may not know how many there are. A line for a motor that does not exist does nothing.
+Because one write has the lines for all motors, no process can die when only some motors have got their stop. The kernel
+may take only a part of a write. The rest then comes with the next burst of this writer or another one. A stop is always
+for four motors, because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that
+does not exist does nothing.
 
-So what remains is a motor that hears nothing, such as one whose CAN plug is out: it stops by its own watchdog, it
-answers no question, and without its answer no stop counts as acknowledged and no motion can be enabled.
+So one danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
+its own watchdog. It answers no question, so no stop counts as acknowledged, and no motion can be enabled.
 """
 
 from __future__ import annotations
@@ -50,12 +51,12 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
-    """The description for this many motors, with the CAN ids 1, 2 and so on. 0: the number is not known, so only two
-    are asked."""
+    """Make the description for this many motors, with the CAN ids 1, 2 and so on. If `speeds` is 0, the number is not
+    known yet, and questions go to two motors only."""
     motors = codec.Motors(speeds or USUAL)
     return Wire(
         name=f"{speeds} Damiao motors behind a slcan adapter" if speeds else "Damiao motors behind a slcan adapter",
-        # A USB adapter has no baud rate; one with a UART has its own, which is the setting board.baud.
+        # An adapter on USB has no baud rate. An adapter with a UART has its own rate, which is the setting board.baud.
         port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(motors.opening,)),
         stop=TimedStop(
             writes=(Write(0, motors.burst),),
@@ -120,4 +121,4 @@ def wire(speeds: int, _can_id: int = 0) -> Wire:
 
 
 WIRE = wire(0)
-"""The description for two motors, because the number is not known before the settings are."""
+"""The description for two motors. It is used until the settings, which have the true number, are known."""

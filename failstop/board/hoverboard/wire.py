@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 IDLE_NS = 200_000
-"""A little more than two bytes take on the line. The receiver considers the line idle after the time of one byte."""
+"""A little longer than two bytes take on the line. The receiver considers the line idle after the time of one byte."""
 _MS = 1_000_000
 
 

@@ -1,1 +1,2 @@
-"""VESC: one motor controller with a steering servo, or two of which the second is behind the first's CAN."""
+"""VESC: one motor controller with a steering servo, or two controllers. The second one is connected to the first by
+CAN."""

@@ -1,17 +1,19 @@
-"""Packets of the VESC firmware: `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. Source: vedderb/bldc b9d287b.
+"""The packets of the VESC firmware. Source: vedderb/bldc b9d287b.
 
-A payload begins with its command. A controller on the CAN of the one at the port gets the payload behind FORWARD and
-its CAN id. The frame for several motors is one packet for each, in one write, the motor at the port first: a packet for
-the CAN waits there for up to 5 ms where nothing takes it (comm_can.c), and that must not hold up the other motor.
+A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A controller
+on the CAN is reached through the controller at the port: its payload follows FORWARD and its CAN id. The frame for
+several motors has one packet for each, in one write. The motor at the port comes first: if nothing on the CAN takes a
+packet, it waits at the controller for up to 5 ms (comm_can.c), and that must not delay the motor at the port.
 
-The stop is a duty cycle of zero. The firmware brakes with as much current as the motor is configured for, and then
-holds the phases shorted. A current of zero lets the motor roll, a speed of zero follows a ramp (25,000 ERPM a second by
-default), and a brake current would need a number that fits the motor (mcpwm_foc.c, foc_math.c).
+The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
+after that keeps the phases shorted. The other ways to stop are worse (mcpwm_foc.c, foc_math.c). A current of zero lets
+the motor roll. A speed of zero follows a ramp, by default 25,000 ERPM per second. A brake current would need a number
+that fits the motor.
 
-A receiver that waits for the rest of a packet tries every place in it when that fails, so no stop in it is lost: it is
-only late (packet.c, since firmware 3.48). After a cut packet of this module that is a few bytes, or up to 260 if the
-speed in it looks like the head of a packet. After a length that was garbled, or a long packet of another program, it is
-up to PENDING bytes.
+If a receiver waits for the rest of a packet and that packet fails, it searches the bytes it has for other packets. So a
+stop among them is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is
+a few bytes, or up to 260 if the speed in the packet looks like the head of another packet. After a garbled length, or a
+long packet of another program, it is up to PENDING bytes.
 """
 
 from __future__ import annotations
@@ -42,37 +44,40 @@ if TYPE_CHECKING:
 
 
 SHORT, LONG, END = 2, 3, 3
-"""The first byte of a packet, by how its length is written: in one byte or in two; and the last byte."""
+"""The first byte of a packet is SHORT if its length is written in one byte, and LONG if it is written in two. The last
+byte is END."""
 DUTY, RPM, SERVO, FORWARD, SELECTED = 5, 8, 12, 34, 50
-"""Commands: set a duty cycle, a speed in ERPM, the servo; pass on to the CAN; get some values."""
+"""The commands that failstop uses: set a duty cycle, set a speed in ERPM, set the servo, pass a command on to the CAN,
+and get some of a controller's values."""
 LIMIT = 100_000.0
-"""The highest speed to which a controller turns a motor by default (mcconf_default.h)."""
+"""The highest speed to which a controller turns a motor by default, in ERPM (mcconf_default.h)."""
 LEAST = 900.0
-"""By default a controller brakes if it gets a lower speed than this (MCCONF_S_PID_MIN_RPM)."""
+"""By default a controller brakes if it is sent a lower speed than this, in ERPM (MCCONF_S_PID_MIN_RPM)."""
 STILL = 50
-"""A lower speed than this, in ERPM, may be noise from a motor at rest; its tachometer shows whether it turns."""
+"""A reported speed below this, in ERPM, may be noise from a motor at rest. The tachometer shows whether the motor
+turns."""
 UNIT = "ERPM, the electrical revolutions a minute"
 STEPS = 6
-"""How many steps the tachometer makes in an electrical revolution."""
+"""How many steps the tachometer counts in one electrical revolution."""
 MOST_PAYLOAD = 512
 PENDING = MOST_PAYLOAD + 6
-"""The longest rest of a packet for which a receiver may wait."""
+"""How many more bytes of a packet a receiver may wait for, at most."""
 BURST = 130
-"""How many bytes a burst has. Each writer writes four bursts, which together are longer than PENDING. Three bursts take
-34 ms on a serial line, so a frame of motion that follows the bursts of three writers is over before the next
-repeats."""
+"""How many bytes a burst has. Each writer writes its burst four times, and four bursts are longer than PENDING. Three
+bursts take 34 ms on a serial line. So a motion frame that follows the bursts of three writers has been sent before
+their next repeats."""
 LOCAL, BEHIND = 1, 2
-"""The controllers as reports name them: the one at the port, and the one behind its CAN."""
+"""The ids of the controllers in reports: LOCAL is the one at the port, and BEHIND is the one on its CAN."""
 MISSES = 2
 """If the second controller leaves this many questions unanswered while the first one answers, it is missing. A question
-after which something garbled came is not counted."""
+does not count if garbled bytes came after it."""
 REPORT_EVERY = 20
-"""After this many answers, the temperatures are reported: about once a second."""
+"""After this many answers the temperatures are reported, which is about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
-"""The faults of a controller for which failstop has a word (FAULT_CODE_ of datatypes.h)."""
+"""The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each."""
 FIRST_US, WAY_US = 1000, 1000
-"""The shortest pulse of the servo output, and how much longer the longest one is (SERVO_OUT_PULSE_ of conf_general.h).
-Positions between them are sent in thousandths."""
+"""The shortest pulse of the servo output, and the difference between the longest and the shortest, in us
+(SERVO_OUT_PULSE_ of conf_general.h). The positions between them are sent in thousandths."""
 _PLACE = Struct(">Bh")
 _SPEED = Struct(">Bi")
 _ASK = Struct(">BI")
@@ -81,32 +86,32 @@ _HEAT, _MOTOR_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (
 )
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
 MASKS = (_MASK, _HEAT | _MASK, _MOTOR_HEAT | _MASK, _HEAT | _MOTOR_HEAT | _MASK)
-"""Which values the questions ask for. An answer repeats the mask, so it says which question it belongs to: the more
-there are, the sooner a loss of answers is made up for. No byte of a mask looks like the head of a packet, because after
-a cut question the receiver would wait for that packet."""
+"""Which values each question asks for. An answer repeats the mask of its question, so the two can be matched. With more
+questions, failstop catches up sooner after answers were lost. No byte of a mask looks like the head of a packet.
+Otherwise, after a cut question, the receiver would wait for that packet."""
 _VALUES = {mask: Struct(f">BI{'h' * (mask & (_HEAT | _MOTOR_HEAT)).bit_count()}ihiBB") for mask in MASKS}
-"""The forms of the answers, without the status, which older firmware leaves out."""
+"""The forms of the answers. They leave out the status at the end, because older firmware does not send it."""
 _LONGEST = 128
-"""No packet that a controller sends to failstop, or to a driver at the guard port, has this many bytes."""
+"""Any packet that a controller sends to failstop, or to a driver at the guard port, is shorter than this, in bytes."""
 
 _LEAST = {SHORT: 1, LONG: 255}
-"""The shortest payload for each way to write its length."""
+"""The shortest payload of a packet, by the first byte of the packet."""
 
 
 def packet(payload: bytes) -> bytes:
-    """The packet with this payload, of at most 255 bytes."""
+    """Return the packet with this payload of at most 255 bytes."""
     return bytes((SHORT, len(payload))) + payload + crc_hqx(payload, 0).to_bytes(2, "big") + bytes((END,))
 
 
 def payloads(data: bytes) -> tuple[list[bytes], bytes]:
-    """The payloads of all whole packets, and an incomplete packet at the end."""
+    """Return the payloads of all whole packets, and the bytes of an incomplete packet at the end."""
     pieces = list(_pieces(data))
     return [payload for payload, _ in pieces if payload], data[sum(size for _, size in pieces) :]
 
 
 def _pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
-    """The payload of each whole packet, with the packet's length. Bytes that are no packet are skipped one at a time,
-    as the firmware does: each comes as an empty payload."""
+    """Return the payload of each whole packet, with the length of that packet. Bytes that belong to no packet are
+    skipped one at a time, as the firmware does. For each skipped byte the payload is empty and the length is 1."""
     at = 0
     while at < len(data):
         head = data[at]
@@ -124,26 +129,28 @@ def _pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
 
 
 VALUES, FIRMWARE = packet(b"\x04"), packet(b"\0")
-"""A driver's questions: all values, and the version of the firmware."""
+"""The two questions that a driver may ask: for all values, and for the version of the firmware."""
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as another frame; only two questions may."""
+    """Say why these bytes must not be written as a frame that is not motion. Returns "" for VALUES and FIRMWARE, the
+    only two that may be written."""
     return "" if frame in (VALUES, FIRMWARE) else "no question for values or the firmware"
 
 
 class Steering(ServoSteering):
-    """The servo at a controller. The settings give its pulses in us; 1000 to 2000 are its whole range."""
+    """The steering servo at a controller. The settings give its pulses in us, and 1000 to 2000 is its whole range."""
 
     __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
-        """The packet for this angle to the left. Raises FrameError."""
+        """Return the packet that steers to this angle, positive to the left. Raises FrameError."""
         place = self._pulses(angle_rad) - FIRST_US
         return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
 
     def check(self, frame: bytes) -> str:
-        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
+        bytes."""
         payload = frame[2:-3]
         if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
             return "not a steering frame"
@@ -152,10 +159,11 @@ class Steering(ServoSteering):
 
 
 class Motors:
-    """The frames for one motor, at the port, or for two: left at the port, right behind its CAN."""
+    """The frames for one motor or for two. A single motor is at the port. Of two, the left one is at the port, and the
+    right one is on its CAN."""
 
     def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
-        """`can_ids`: the CAN ids of the other controllers."""
+        """`can_ids` are the CAN ids of the controllers that are not at the port."""
         self._heads = [b"", *(bytes((FORWARD, can_id)) for can_id in can_ids)]
         self.wheels = len(self._heads)
         self.rest = self.frame((0.0,) * self.wheels, 0.0)
@@ -166,18 +174,19 @@ class Motors:
         return b"".join(packet(head + payload) for head, payload in zip(self._heads, every, strict=True))
 
     def _written(self, speeds: Sequence[float]) -> bytes:
-        """The payload for a motor's speed, truncated towards zero. A motor that gets zero brakes."""
+        """Return the frame for these speeds, truncated towards zero. A motor whose speed is zero gets the command that
+        brakes it."""
         whole = [int(speed) for speed in speeds]
         return self._packets([_SPEED.pack(RPM if speed else DUTY, speed) for speed in whole])
 
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
-        """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        """Return the frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, "ERPM")
         return self._written([number("speed of a motor", speed, -limit, limit, "ERPM") for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """The speeds in a frame for all motors; None for other bytes."""
+        """Return the speeds in a frame for all motors, or None for other bytes."""
         if len(frame) != len(self.rest):
             return None
         found: list[float] = []
@@ -191,7 +200,8 @@ class Motors:
         return tuple(found) if len(found) == self.wheels else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
+        bytes."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
@@ -200,44 +210,44 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def replies(self) -> Replies:
-        """A reader for the answers of these controllers."""
+        """Make a reader for the answers of these controllers."""
         return Replies(self._heads[-1][-1:])
 
 
 class Values(Data):
-    """The values that a controller reports about its motor and its supply."""
+    """The values that one controller reports about its motor and its supply."""
 
     speed: float
-    """The count of the motor's tachometer."""
+    """The motor's speed in ERPM. A speed below STILL is reported as 0."""
     position: float
-    """The count of its tachometer."""
+    """The count of the motor's tachometer."""
     volts: float
 
 
 class Replies(Reader):
-    """The controllers' answers. A question counts as answered when all controllers have answered it. The one at the
-    port answers first, and the other one's answer must belong to the same question."""
+    """Decodes the controllers' answers. A question counts as answered when all controllers have answered it. The
+    controller at the port answers first, and the second one's answer must belong to the same question."""
 
     def __init__(self, other: bytes) -> None:
-        """`other`: the CAN id of the second controller; empty if there is none."""
+        """`other` is the CAN id of the second controller, as one byte. Empty if there is no second controller."""
         self._kept = b""
         self._other = other
         self._first: tuple[int, Values] | None = None
-        """The mask and the values in the last answer of the controller at the port, while the other one has not
-        answered; else None."""
+        """The newest answer of the controller at the port (its mask and its values), until the second controller
+        answers too. Else None."""
         self._misses = 0
         self._garbled = False
-        """Bytes that are no packet came since the last answer of the controller at the port. They may have been the
-        other one's answer."""
+        """True if bytes that belong to no packet came since the last answer of the controller at the port. They may
+        have been the second controller's answer."""
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
-        """For each controller that has answered: its temperature, and what is wrong with it."""
+        """What is wrong with each controller that has answered, as bits. `_heat` has the temperature of each."""
         self._last_report: dict[int, int] = {}
-        """What was wrong in the newest report."""
+        """What was wrong with each controller when this was last reported."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
-        """The samples that these bytes complete."""
+        """Return the samples that these bytes complete."""
         self._kept += chunk
         found: list[Sample] = []
         while True:
@@ -249,7 +259,7 @@ class Replies(Reader):
                 else:
                     self._garbled = True
             self._kept = self._kept[done:]
-            # An incomplete packet that is longer than any answer is none: its head was garbled.
+            # If an incomplete packet is longer than any answer, it is not a packet: its head was garbled.
             if len(self._kept) <= _LONGEST:
                 return found
             self._kept, self._garbled = self._kept[1:], True
@@ -274,7 +284,7 @@ class Replies(Reader):
         return found
 
     def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:
-        """The samples for a question that every controller has answered."""
+        """Return the samples for a question, once every controller has answered it."""
         if not self._other:
             return self._answered(mask, values)
         first, self._first = self._first, None

@@ -1,9 +1,10 @@
 """The packets that a driver may write to a VESC, and what it hears.
 
-A driver sets speeds in ERPM and the servo's place, and asks for the firmware's version and for values (RoboRacer's
-vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on, and so are their answers. A speed keeps
-the servo where it was sent before. A duty cycle or a current is refused unless it is zero, because failstop can't limit
-the speed that it leads to. Bytes that are no packet are skipped as the firmware skips them.
+A driver sets speeds in ERPM and the position of the servo, and asks for the firmware's version and for values
+(RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). The two questions are passed on, and so are their
+answers. If a driver sets only a speed, the servo stays where the driver sent it before. A duty cycle or a current is
+refused unless it is zero, because failstop can't limit the speed that results from it. Bytes that are not a packet are
+skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ class VescDriver:
     """One driver's packets, and the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
-        """`can_id`: the CAN id of the second motor, None if there is none; `steering`: the servo's pulse in us for
-        straight ahead, and how much is added for one radian to the left; None if the base is not steered."""
+        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is the servo's
+        pulse for straight ahead in us, and how much is added for one radian to the left. It is None if the base is not
+        steered."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]
@@ -48,7 +50,7 @@ class VescDriver:
         self._wrote = self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's packets."""
+        """Return what the driver asks for with its packets."""
         data = self._wrote + chunk
         found, self._wrote = codec.payloads(data)
         rows = [row for payload in found for row in self._asked(payload, 0)]
@@ -57,7 +59,7 @@ class VescDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the answers to the driver's questions, but not to failstop's own."""
+        """Pass on the answers to the driver's questions. The answers to failstop's own questions are not passed on."""
         found, self._heard = codec.payloads(self._heard + chunk)
         return [codec.packet(payload) for payload in found if payload[0] in _PASSED_ON]
 

@@ -1,4 +1,4 @@
-"""The facts about VESCs that are needed before a Board is made."""
+"""What the settings must know about VESCs before a Board is made."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from failstop.board.facts import Facts
 FACTS = Facts(
     speeds=2,
     imu=False,
-    # SERVO_OUT_PULSE_MIN_US and SERVO_OUT_PULSE_MAX_US of conf_general.h; it has one servo.
+    # SERVO_OUT_PULSE_MIN_US and SERVO_OUT_PULSE_MAX_US of conf_general.h. A VESC has one servo.
     steers={"pwm": (1000, 2000, 1)},
     layouts={"ackermann": 1},
-    # RoboRacer's car: the servo's gain -1.2135 and offset 0.5304 (f1tenth_system 03865a0, vesc.yaml) in us, and what
-    # its servo_max of 0.85 leaves to the side where that is less. Sources differ on its wheelbase (0.25 there).
+    # RoboRacer's car. centre and per_rad are the servo's offset 0.5304 and gain -1.2135 (f1tenth_system 03865a0,
+    # vesc.yaml) in us. most_deg is what its servo_max of 0.85 leaves on the side where less is left. Sources differ on
+    # the wheelbase: that file has 0.25.
     steered_defaults={
         "wheels.id_1": 0,
         "wheels.diameter_m": 0.1,

@@ -1,12 +1,15 @@
-"""The VESC's wire: two controllers, the second behind the CAN of the first, each with packets of its own in one write.
+"""The wire of one or two VESCs. The second controller is on the CAN of the first. Each controller has its own packets,
+and all of them go out in one write.
 
-Between the two packets of a stop no process can die, because one write takes both. The kernel may take a part, which
-the writer's next burst or another writer's completes: the receiver finds every whole packet behind a cut one. So what
-remains is a controller that hears nothing, such as one whose CAN plug is out. Its motor stops by its own timeout, it
-answers no question, and without its answer no stop counts as acknowledged and no motion can be enabled.
+Because one write has the packets for both controllers, no process can die between the two halves of a stop. The kernel
+may take only a part of a write. The rest then comes with the next burst of this writer or another one, and the receiver
+finds every whole packet that follows a cut one. So one danger remains: a controller that hears nothing, for example
+because its CAN plug is out. The motor of such a controller is stopped by the controller's own timeout. Such a
+controller answers no question, so no stop counts as acknowledged, and no motion can be enabled.
 
-A burst holds two stops and zeros between them. Each writer's four are longer than the longest packet that a receiver
-may wait for, so a garbled length delays a stop by 0.14 s and loses none.
+A burst is a stop, zeros, and a second stop. If a length was garbled, the receiver waits for a packet that may be long.
+The four bursts of a writer are longer than any such packet. So a garbled length delays a stop by 0.14 s, but no stop is
+lost.
 """
 
 from __future__ import annotations
@@ -39,8 +42,9 @@ if TYPE_CHECKING:
 _MS = 1_000_000
 IDLE_NS = 100_000
 HUB_PER_RPS, CAR_PER_RPS = 900.0, 1450.0
-"""ERPM of one turn a second: of a hub motor with 15 pairs of poles, as in a hoverboard; and of a RoboRacer car, which
-has 4614 ERPM for 1 m/s (f1tenth_system 03865a0, vesc.yaml) and wheels of 0.1 m."""
+"""One turn per second in ERPM, as it usually is. HUB_PER_RPS is for a hub motor with 15 pairs of poles, as in a
+hoverboard. CAR_PER_RPS is for a RoboRacer car, which has 4614 ERPM at 1 m/s (f1tenth_system 03865a0, vesc.yaml) and
+wheels of 0.1 m."""
 
 
 def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
@@ -50,8 +54,8 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, can_id: int) -> Wire:
-    """The description of a controller at the port and, unless `speeds` is 1, of a second one with this CAN id behind
-    it."""
+    """Make the description of a controller at the port. Unless `speeds` is 1, there is a second controller on its CAN,
+    with this CAN id."""
     can_ids = () if speeds == 1 else (can_id,)
     motors = codec.Motors(can_ids)
     return Wire(
@@ -64,7 +68,7 @@ def wire(speeds: int, can_id: int) -> Wire:
                 tuple(at * _MS for at in row) for row in ((0, 23, 53, 103), (0, 29, 61, 113), (0, 37, 71, 127))
             ),
         ),
-        # The bursts of a stop take a while on a serial line: what comes behind them waits until they are out.
+        # The bursts of a stop take a while on a serial line. A frame that follows them waits until they have been sent.
         pace=Pace(idle_ns=IDLE_NS, unanswered=None),
         watchdog=Watchdog(
             after_ns=1000 * _MS,
@@ -94,7 +98,7 @@ def wire(speeds: int, can_id: int) -> Wire:
         proofs=(ANSWERED, OBSERVED),
         ping_ns=50 * _MS,
         echo_ns=0,
-        # Every question asks for speeds and tachometers, which count six steps in an electrical revolution.
+        # Every question asks for speeds and tachometers. A tachometer counts six steps in one electrical revolution.
         reports=Reports(
             every_ns=100 * _MS,
             speed_per_rps=lambda per_rps, _diameter_m: per_rps,
@@ -104,7 +108,7 @@ def wire(speeds: int, can_id: int) -> Wire:
             own_scale=False,
             position_step=1.0,
         ),
-        # A busy computer may lose a few answers in a row. A short restart shows in the tachometers.
+        # A busy computer may lose a few answers in a row. The tachometers reveal a shorter restart.
         silent_ns=700 * _MS,
         commanders=(
             Commander(
@@ -128,4 +132,5 @@ def wire(speeds: int, can_id: int) -> Wire:
 
 
 WIRE = wire(2, USUAL_CAN_ID)
-"""The description for two motors. The CAN id in the settings replaces the usual one."""
+"""The description for two motors, with the usual CAN id. The service makes another one with the CAN id of the
+settings."""
