@@ -85,8 +85,8 @@ REPORT_EVERY = 20
 """After this many answers the temperatures are reported, which is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
-"""A motor reports its speed in 12 bits, and zero is halfway between the two values next to _MIDDLE. A speed that is
-closer to zero than _NOISE may be noise."""
+"""A reported speed has 12 bits, so zero (_MIDDLE) is between two of its values. A speed that is closer to zero than
+_NOISE may be noise."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:

@@ -158,7 +158,7 @@ class DamiaoDriver:
 
     def _switch(self, motor: int, what: int) -> list[Row]:
         """Enable a motor, disable it, or clear its fault. Enabling a disabled motor or disabling one sets its speed to
-        zero."""
+        zero. A request to set the zero of its position is refused."""
         if what == _ZERO:
             return [
                 DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),

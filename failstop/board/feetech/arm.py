@@ -1,7 +1,8 @@
-"""The arm on the wheels' bus: servos in position mode, in steps of 4096 a turn.
+"""The arm on the wheels' bus: servos in position mode, which count 4096 steps per turn.
 
-A stop writes nothing to them. Moves are a stream of goals, each a period ahead at most: without the next one a servo
-stands at the last, its torque on. Nothing here names a wheel, and nothing but positions, torques and reads passes.
+A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period ahead. If no next
+goal comes, a servo stays at its last one, with its torque on. No frame of this module addresses a wheel. Only frames
+for positions, torques and reads pass its check.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 HIGHEST = codec.TURN - 1
 ANSWER_NS = 1_000_000
-"""How long a servo takes to answer, with its default return delay."""
+"""How long a servo takes to answer, with its default return delay, in ns."""
 _ROWS_AT = 7
 
 
@@ -37,7 +38,7 @@ def _goals(positions: Sequence[tuple[int, int]]) -> bytes:
 
 
 def _rows(frame: bytes) -> list[tuple[int, int]]:
-    """The goals in a frame: (id, position) for each servo."""
+    """Return the goals in a frame: (id, position) for each servo."""
     rows = frame[_ROWS_AT : frame[3] + 3]
     return [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
 
@@ -57,31 +58,32 @@ class FeetechArm(ServoBus):
         self._byte_ns = port.byte_ns
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Empty, because a servo without a next goal stays at its last one, with its torque on."""
+        """Empty, because a servo that gets no next goal stays at its last one, with its torque on."""
         return b""
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Goals for a few servos, in one frame. Each servo chooses itself how long its small step takes."""
+        """Return the goals for a few servos, in one frame. Each servo chooses itself how long its small step takes."""
         return _goals(positions)
 
     def read(self, servo: int, what: int) -> bytes:
-        """The packet that asks one servo a question."""
+        """Return the packet that asks one servo a question."""
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """A sync read of a few servos, at most as many as a question to the wheels asks."""
+        """Return the packet that asks a few servos for their positions at once (a sync read). They may be at most as
+        many as the wheels."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
         return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The packets that switch a servo's torque. Before it is switched on, the servo's present position becomes its
-        goal."""
+        """Return the packets that switch a servo's torque on or off. Before the torque is switched on, the servo's
+        present position becomes its goal, so that it does not jump."""
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
     def command(self, frame: bytes) -> int:
-        """The command, by the address that the frame reads or writes."""
+        """Return the command in a frame, found by the address that the frame reads or writes."""
         if frame[4] in (codec.READ, codec.SYNC_READ):
             return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
         if frame[5] == codec.TORQUE_SWITCH:
@@ -89,7 +91,8 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Why a frame must not be written; "" if the functions above make exactly the same bytes from its fields."""
+        """Say why a frame must not be written. Returns "" if the methods above make exactly the same bytes from the
+        fields of the frame, and all its servos are among `servos`."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
@@ -99,7 +102,7 @@ class FeetechArm(ServoBus):
         return next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
 
     def _made_again(self, frame: bytes) -> tuple[list[int], bytes]:
-        """The servos in a frame, and the frame that the functions above make from its fields."""
+        """Return the servos in a frame, and the frame that the methods above make from its fields."""
         if frame[4] == codec.READ:
             return [frame[2]], self.read(frame[2], self.command(frame))
         if frame[4] == codec.SYNC_READ:
@@ -115,7 +118,8 @@ class FeetechArm(ServoBus):
         return ids, _goals(moves)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The goals in a frame. A servo moves there as fast as it can."""
+        """Return the goals in a frame. The duration of each is 0, because a servo moves to its goal as fast as it
+        can."""
         try:
             goals = _rows(frame)
             return [(servo, at, 0) for servo, at in goals] if frame == _goals(goals) else []
@@ -123,6 +127,6 @@ class FeetechArm(ServoBus):
             return []
 
     def held_ns(self, frame: bytes) -> int:
-        """How long a frame, or its answer, takes on the line, ns."""
+        """Return how long a frame or its answer takes on the line, in ns."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
         return asked * ANSWER_NS or len(frame) * self._byte_ns

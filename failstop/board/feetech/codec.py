@@ -1,9 +1,9 @@
-"""Packets of Feetech's STS servos: `FF FF | id | length | instruction | data | check`, little-endian.
+"""The packets of Feetech's STS servos: `FF FF | id | length | instruction | data | check`, little-endian.
 
-`length` counts the instruction, the data and the check, which is the inverted sum of everything behind the head. A
-servo answers with the same form, its error bits in the place of the instruction (ERRBIT_* of feetech-servo-sdk 1.0.0,
-which wire.py has too). Speeds have their sign in bit 15
-(Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
+`length` counts the instruction, the data and the check. The check is the inverted sum of all bytes between FF FF and
+the check. A servo's answer has the same form, with its error bits in the place of the instruction. These are the bits
+ERRBIT_* of feetech-servo-sdk 1.0.0, which are the same as the SERVO_ bits of failstop/board/wire.py. Speeds have their
+sign in bit 15 (Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
 """
 
 from __future__ import annotations
@@ -25,61 +25,62 @@ TORQUE_SWITCH, GOAL_POSITION, GOAL_SPEED = 40, 42, 46
 """Addresses in a servo's memory."""
 
 WHEELS = (7, 8, 9)
-"""Ids of the wheels' servos, as LeKiwi has them: left, rear, right."""
+"""The ids of the wheels' servos, as LeKiwi has them: left, rear, right."""
 LIMIT = 3000.0
-"""The highest speed that LeKiwi commands for a wheel."""
+"""The highest speed that LeKiwi commands for a wheel, in steps per second."""
 TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""How much of each wheel's memory the questions read, beginning at the goal speed. An answer does not say which
-question it belongs to, but its length does."""
+"""How many bytes of each wheel's memory the two questions read, beginning at the goal speed. An answer does not say
+which question it belongs to, but its length does."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
-"""Address and size of each question to a servo of the arm. Here too the size of the answer shows the question. Load and
-temperature follow the position."""
+"""The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
+which question it belongs to. The read of the position also covers the load and the temperature, which follow it."""
 REPORT_EVERY = 10
-"""After this many answers of the wheels, the supply and the servos' health are reported: about once a second."""
+"""After this many answers of the wheels, the supply and the servos' health are reported, which is about once a
+second."""
 
 MISSES = 2
-"""If a wheel leaves this many questions in a row unanswered while another one answers, it is missing. The answer of a
-single question may be garbled on the line."""
+"""If a wheel leaves this many questions in a row unanswered while another one answers, it is missing. A single answer
+may be garbled on the line."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
 _LOAD_SIGN = 0x400
 _SPEEDS = Struct("<BHBHBH")
 _WHEEL = Struct("<H10xHxxB")
-"""A wheel's memory from the goal speed on: the goal speed, the present speed, the supply in 0.1 V."""
+"""A wheel's memory from the goal speed on: the goal speed, the present speed, and the supply in 0.1 V."""
 _HEALTH = Struct("<HxB")
-"""A servo's memory from the load on: the load, the temperature."""
+"""A servo's memory from the load on: the load and the temperature."""
 
 
 def packet(servo: int, instruction: int, data: bytes) -> bytes:
-    """The packet with these parts, without checks."""
+    """Return the packet with these parts. They are not checked."""
     body = bytes((servo, len(data) + 2, instruction)) + data
     return HEAD + body + bytes((~sum(body) & 0xFF,))
 
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
-    """The packet that writes at this address of several servos. Each row has the id, then the bytes. No servo answers
-    it. List the ids one by one, and never write a speed to all servos at once: for a servo in position mode, speed 0
-    means its fastest speed."""
+    """Return the packet that writes to this address of several servos. Each row has a servo's id, then the bytes for
+    it. No servo answers such a packet. List the ids one by one, and never write a speed to all servos at once: for a
+    servo in position mode, speed 0 means its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 
 def _word(speed: float) -> int:
-    """A speed as a signed word, rounded towards zero; zero has no sign."""
+    """Return a speed as a signed word, truncated towards zero. Zero has no sign."""
     steps = int(speed)
     return steps if steps >= 0 else -steps | _SIGN
 
 
 def signed(word: int) -> float:
-    """A signed word as a speed in steps per second."""
+    """Return a signed word as a speed in steps per second."""
     return -float(word & ~_SIGN) if word & _SIGN else float(word)
 
 
 def _health(data: bytes) -> tuple[float, int]:
-    """The load as a share of the servo's maximum, and the temperature."""
+    """Return a servo's load as a share of its maximum, and its temperature."""
     word, temperature = _HEALTH.unpack(data)
     return (word & _LOAD_SIGN - 1) / (-1000 if word & _LOAD_SIGN else 1000), temperature
 
@@ -90,7 +91,7 @@ def _written(speeds: Sequence[float]) -> bytes:
 
 
 def motion(speeds: Sequence[float], limit: float) -> bytes:
-    """The packet that sets all wheels, each within plus or minus `limit`. Raises FrameError."""
+    """Return the packet that sets all wheels, each within plus or minus `limit`. Raises FrameError."""
     counted("speeds", speeds, len(WHEELS), len(WHEELS))
     number("limit", limit, 0.0, LIMIT, UNIT)
     return _written([number("speed of a wheel", speed, -limit, limit, UNIT) for speed in speeds])
@@ -100,23 +101,24 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""Longer than the rest of any packet of this module that was cut, or of an answer. It turns no bytes after it into a
-speed."""
+"""Bytes that end any packet of this module that was cut, and any answer, because the rest of it is shorter. They turn
+no bytes after them into a speed."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
-"""After a cut packet a stop is received at once. If it hits an answer, it is received when the answer is over. If a
-length was garbled, the servo first waits for up to 255 bytes."""
+"""The packet with which failstop stops the wheels. After a cut packet, its first stop is received at once. If it hits
+an answer, a stop is received when the answer is over. If a length was garbled, the servo first waits for up to 255
+bytes."""
 
 BEFORE_QUESTION = FILLER * 2
-"""A servo that took a garbled length waits through up to 255 bytes and answers nothing meanwhile. With these it answers
-the fifth question after the noise at the latest."""
+"""Bytes that come before each question. A servo that read a garbled length waits for up to 255 bytes, and does not
+answer meanwhile. With these bytes it answers the fifth question after the noise at the latest."""
 
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
 
 
 def speeds(frame: bytes) -> tuple[float, ...] | None:
-    """The speeds of all wheels in a motion frame, in steps per second; None if the bytes are not a motion frame."""
+    """Return the speeds of all wheels in a motion frame, in steps per second, or None for other bytes."""
     if len(frame) != len(STOP) or frame[:7] != _MOTION_HEAD or sum(frame[2:]) & 0xFF != 0xFF:
         return None
     fields = _SPEEDS.unpack(frame[7:-1])
@@ -124,7 +126,8 @@ def speeds(frame: bytes) -> tuple[float, ...] | None:
 
 
 def check_motion(frame: bytes, limit: float) -> str:
-    """Why these bytes must not be written as a motion packet; "" when they may. Never raises on bytes."""
+    """Say why these bytes must not be written as a motion packet. Returns "" if they may be written. Never raises on
+    bytes."""
     found = speeds(frame)
     if found is None:
         return "not a whole packet of the wheels' speeds"
@@ -134,34 +137,35 @@ def check_motion(frame: bytes, limit: float) -> str:
 
 
 def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
-    """The answer to one of READS. A write to a single id is answered without data."""
+    """Return the report in an answer to one of READS. A servo answers a write without data, so such an answer has no
+    report."""
     found = [what for what, (_, size) in READS.items() if size == len(data)]
     if not found or servo in WHEELS:
         return []
     (what,) = found
     value = int.from_bytes(data[:2], "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
-    # To who asks, a 0 is no reading, but for the torque: the first pulse is told as the one beside it.
+    # A value of 0 would mean that the servo was not read, except for the torque. So a 0 is reported as 1.
     return [ServoAnswer(servo, what, value if what == TORQUE else max(value, 1))]
 
 
 class Replies(Reader):
-    """Decodes the servos' answers. The wheels' answers count when all three have come, in their order."""
+    """Decodes the servos' answers. The wheels' answers count only when all three have come, in the order of WHEELS."""
 
     def __init__(self) -> None:
         self._kept = b""
         self._wheels: list[bytes] = []
         self._health: dict[int, tuple[float, int]] = {}
         self._errors: dict[int, int] = {}
-        """The error byte of the newest answer of each servo."""
+        """The error byte in the newest answer of each servo."""
         self._misses = dict.fromkeys(WHEELS, 0)
         self._last, self._size = len(WHEELS) - 1, 0
-        """Which wheel answered last, by its place in WHEELS, and how many bytes."""
+        """The place in WHEELS of the wheel that answered last, and how many bytes its answer had."""
         self._last_report: dict[int, int] = {}
-        """What was wrong with each servo in the newest report."""
+        """What was wrong with each servo when this was last reported."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
-        """The samples that these bytes complete."""
+        """Return the samples that these bytes complete."""
         data, at = self._kept + chunk, 0
         found: list[Sample] = []
         while (at := data.find(HEAD, at)) >= 0 and at + 4 <= len(data):
@@ -177,7 +181,7 @@ class Replies(Reader):
                 continue
             found += self._heard(servo, data[at + 4], data[at + 5 : end - 1])
             at = end
-        # Without a head, its first byte may still be the last that came.
+        # If no head was found, the last byte may still be the first byte of one.
         self._kept = data[at:] if at >= 0 else data[-1:]
         return found
 
@@ -190,15 +194,15 @@ class Replies(Reader):
         if not wheel and len(data) == READS[POSITION][1]:
             self._health[servo] = _health(data[4:])
         due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
-        # Where a wheel's answer is missing nothing else is reported, and the others are heard all the same.
+        # While a wheel's answer is missing, no question counts as answered, so nothing is due. Report the health anyway.
         if due or missed or self._wrong() != self._last_report:
             self._last_report = self._wrong()
             found.append(Health(self._rows()))
         return found
 
     def _count_misses(self, at: int, size: int) -> bool:
-        """A wheel has answered. The wheels between it and the last one that answered have missed the question, because
-        they answer in the order of WHEELS. Returns True if one of these is now missing."""
+        """Count the misses after a wheel has answered. Wheels answer in the order of WHEELS, so the wheels between this
+        one and the one that answered last have missed the question. Returns True if one of these is now missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:
@@ -208,7 +212,7 @@ class Replies(Reader):
         return any(self._misses[WHEELS[other]] >= MISSES for other in passed)
 
     def _wrong(self) -> dict[int, int]:
-        """What is wrong with each servo that reports an error."""
+        """Return what is wrong with each servo that reports an error or is missing."""
         missing = {wheel: SERVO_MISSING for wheel, misses in self._misses.items() if misses >= MISSES}
         return {servo: error for servo, error in self._errors.items() if error} | missing
 

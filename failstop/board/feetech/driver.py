@@ -1,12 +1,15 @@
-"""The packets that a driver may write to Feetech's STS servos, and the answers it waits for: LeRobot's LeKiwi host.
+"""The packets that a driver may write to Feetech's STS servos, and the answers it waits for. The driver is LeRobot's
+LeKiwi host.
 
-They are taken byte by byte as a servo takes them: it waits for the rest of a packet forever and looks at nothing twice.
-Only the wheels' goal speeds move anything. What the driver reads at its start comes from a table for each servo: the
-settings' ranges and offsets, what LeKiwi's servos are set to, and what the driver has written itself. From address 46 a
-wheel's table is what the servo said last, from 56 a joint's; what nobody has read yet is not answered.
+Packets are read byte by byte as a servo reads them: it waits for the rest of a packet forever and looks at no byte
+twice. Only the wheels' goal speeds move anything. What the driver reads comes from a table for each servo. The table
+begins with the settings' ranges and offsets and with the values that LeKiwi's servos are set to. Where the driver may
+write, it then has what the driver has written. From address 46 on for a wheel, and from 56 on for a joint, it has what
+the servo reported last. A value that nobody has read yet is not answered.
 
-Every question and every write to one servo is answered, a refused write too, because LeRobot's host ends when an answer
-is missing. A servo that is neither a wheel nor a joint of the settings does not answer, as if it were not connected.
+Every question and every write to one servo is answered, even if the write is refused, because LeRobot's host ends when
+an answer is missing. If a servo is neither a wheel nor a joint of the settings, it does not answer, as if it were not
+connected.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """
@@ -23,41 +26,43 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 34_000_000
-"""The timeout of feetech-servo-sdk; LeRobot waits 50 ms. After a late answer, every answer would be taken for the one
-to the next question."""
+"""The timeout of feetech-servo-sdk. LeRobot waits 50 ms. A late answer would be taken for the answer to the next
+question, and so would every answer after it."""
 PAST_NS = 4_000_000_000
-"""The service asks a joint at rest for its position about every two seconds, but a host asks at once."""
+"""How much of the servos' past answers a new driver is given. It is long because the service asks a joint at rest for
+its position about every two seconds, while a host asks at once."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
-"""An STS3215."""
+"""The model number of an STS3215."""
 _FIRMWARE = b"\x03\x0a"
 _ID_AT, _LOW_AT, _HIGH_AT, _OFFSET_AT, _MODE_AT, _LOCK = 5, 9, 11, 31, 33, 55
 _OFFSET_SIGN = 0x800
 _SENSORS = 56
 """From this address on, a servo's memory has what it measures."""
 _KNOWN_TO = 65
-"""Nothing is read of a servo beyond this address."""
+"""failstop reads a servo's memory only up to this address."""
 _SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
-"""The values to which LeRobot sets every servo; the gains are those of the arm."""
+"""The values to which LeRobot sets every servo, by address. The gains are the arm's."""
 _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
-"""Goal position and goal time (42 to 45), which a servo in velocity mode ignores while they are zero."""
+"""The addresses of goal position and goal time (42 to 45). A servo in velocity mode ignores both while they are
+zero."""
 _STOPPED = "so the wheels were stopped"
 _ARM = "failstop moves the arm only for programs that use its plugin or Robot.arm"
 _BY_ID = "at the guard port, servos must be written one by one"
 
 
 class FeetechDriver:
-    """One driver's packets, and what it can read of each servo."""
+    """One driver's packets, and what the driver can read of each servo."""
 
     def __init__(self, joints: Mapping[int, tuple[int, int, int]]) -> None:
-        """`joints`: for each servo of the arm its lowest and highest position, and its homing offset, in steps."""
+        """`joints` has the lowest and highest position and the homing offset of each servo of the arm, in steps."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
         self._memory = {wheel: _memory(wheel, 0, codec.TURN - 1, 0, mode=1) for wheel in codec.WHEELS}
         self._memory |= {servo: _memory(servo, *told, mode=0) for servo, told in joints.items()}
         self._heard_of: dict[int, set[int]] = {servo: set() for servo in self._memory}
-        """The addresses of each servo that have been read."""
+        """The addresses of each servo that have been read since the driver's conversation began."""
         self._error = dict.fromkeys(self._memory, 0)
         self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
         """The wheels' goal speeds, as the driver wrote them."""
@@ -65,7 +70,7 @@ class FeetechDriver:
         self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's packets."""
+        """Return what the driver asks for with its packets."""
         rows: list[Row] = []
         for value in chunk:
             if packet := self._byte(value):
@@ -73,7 +78,7 @@ class FeetechDriver:
         return rows
 
     def _byte(self, value: int) -> bytes:
-        """The packet that this byte completes; empty if none."""
+        """Return the packet that this byte completes. Empty if it completes none."""
         packet = self._packet
         size = len(packet)
         if (size < 2 and value != 0xFF) or (size == 3 and value < 2):
@@ -111,7 +116,7 @@ class FeetechDriver:
             return [refusal, self._answer(to, b"")] if to in self._memory else [refusal]
         return []
 
-    # What it reads.
+    # What the driver reads.
 
     def _read(self, servos: Iterable[int], address: int, size: int) -> list[Row]:
         rows: list[Row] = []
@@ -130,7 +135,7 @@ class FeetechDriver:
         return [*rows, DriverAnswer(answers)] if answers else rows
 
     def _knows(self, servo: int, wanted: range) -> bool:
-        """True if the driver can be answered: a servo's measurements only after they have been read."""
+        """True if the driver can be answered. A value that the servo measures is known only after it has been read."""
         return all(at in self._heard_of[servo] for at in wanted if _SENSORS <= at < _KNOWN_TO)
 
     def _packet_of(self, servo: int, data: bytes) -> bytes:
@@ -139,7 +144,7 @@ class FeetechDriver:
     def _answer(self, servo: int, data: bytes) -> DriverAnswer:
         return DriverAnswer(self._packet_of(servo, data))
 
-    # What it writes.
+    # What the driver writes.
 
     def _broadcast(self, address: int, data: bytes) -> list[Row]:
         if address == codec.GOAL_SPEED and len(data) == len(_SPEEDS) and not any(data):
@@ -152,7 +157,7 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """The rows for one packet; after it all wheels have the speeds that the driver commanded."""
+        """Return the rows for one packet. All wheels then have the speeds that the driver has commanded so far."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -170,7 +175,8 @@ class FeetechDriver:
         return rows
 
     def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
-        """True if this packet sets a wheel's speed; otherwise refusals, with a motion if the wheels must stop."""
+        """Handle what a packet writes to a wheel. Returns True if it sets the wheel's speed, then the refusals. If the
+        wheels must stop, a motion is among these rows."""
         rows: list[Row] = []
         speed = bytearray()
         for at, value in enumerate(data, address):
@@ -190,7 +196,7 @@ class FeetechDriver:
             return False, rows
         if len(speed) < len(_SPEEDS):
             return False, [*rows, DriverRefusal("half of a wheel's speed (46 or 47)", f"{_STOPPED}"), self._stop()]
-        # Without torque a wheel turns at no speed.
+        # Without torque a wheel does not turn, whatever its speed.
         torque = self._memory[wheel][codec.TORQUE_SWITCH]
         self._speeds[wheel] = codec.signed(int.from_bytes(speed, "little")) if torque else 0.0
         self._memory[wheel][_SPEEDS.start : _SPEEDS.stop] = speed
@@ -209,7 +215,7 @@ class FeetechDriver:
         return rows
 
     def _setting(self, servo: int, at: int, value: int) -> list[Row]:
-        """A byte of the servo's settings, which the driver can't change."""
+        """Handle one byte of the servo's settings, which the driver can't change."""
         if at == _LOCK:
             self._memory[servo][at] = value
             return []
@@ -218,10 +224,10 @@ class FeetechDriver:
         why = "the servo keeps its own; to set up servos, end failstop and use the board's own port"
         return [DriverRefusal(f"a setting of a servo (address {at})", why)]
 
-    # What the servos say.
+    # What the servos report.
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep what the servos measure. Nothing is passed on, because they only answer."""
+        """Keep what the servos measure. Nothing is passed on, because servos only answer."""
         data, at = self._heard + chunk, 0
         while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
             servo, length = data[at + 2 : at + 4]
@@ -235,12 +241,12 @@ class FeetechDriver:
             else:
                 self._measured(servo, data[at + 4], data[at + 5 : end - 1])
                 at = end
-        # Without a head, its first byte may still be the last that came.
+        # If no head was found, the last byte may still be the first byte of one.
         self._heard = data[at:] if at >= 0 else data[-1:]
         return []
 
     def _measured(self, servo: int, error: int, data: bytes) -> None:
-        """Keep an answer. Only its length shows which question it belongs to."""
+        """Keep the values in an answer. Only the answer's length shows which question it belongs to."""
         if servo not in self._memory:
             return
         self._error[servo] = error
@@ -266,7 +272,7 @@ def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytea
 
 
 def language(settings: Mapping[str, float | str]) -> FeetechDriver:
-    """Begin a driver's conversation with the wheels, and with the joints of these settings."""
+    """Begin a driver's conversation with the wheels and with the joints of these settings."""
     names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
     tables = [f"joints.{name}" for name in names]
     return FeetechDriver(

@@ -1,4 +1,5 @@
-"""Feetech's servos before a Board is made: LeKiwi's three wheels, and its arm on the same bus."""
+"""What the settings must know about Feetech's servos before a Board is made: LeKiwi's three wheels, and its arm on the
+same bus."""
 
 from __future__ import annotations
 

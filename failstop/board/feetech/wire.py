@@ -1,9 +1,9 @@
-"""The Feetech bus: a stop is told at once and again within the same write, since a servo that answers hears nothing.
+"""The wire of the Feetech bus. A stop is repeated within one write, because a servo that is answering hears nothing.
 
-One line serves both ways. A stop that begins amid an answer is garbled, and garbles it; the burst goes on for longer
-than the three answers to a question take, and each writer repeats it. Nothing but a stop is written before the line has
-been silent for as long as that, so that no other answer comes in its way. Nothing acknowledges a sync write: the
-questions ask each wheel for the goal speed that it obeys, and for its present speed.
+One line carries both directions. A stop that begins during an answer is garbled, and so is the answer. So the burst
+lasts longer than the three answers to a question, and each writer repeats it. Any other frame is written only after the
+line has been silent for the time of three answers, so that it does not collide with one. A servo does not acknowledge a
+sync write. So the questions ask each wheel for the goal speed that it obeys and for its present speed.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 ANSWERS_NS = 2_500_000
-"""Three answers of 25 bytes, and before each the longest return delay that a servo comes with, 0.51 ms (LeRobot sets it
-to 0)."""
+"""How long three answers of 25 bytes take, with the longest return delay that a servo comes with, 0.51 ms, before each.
+LeRobot sets this delay to 0."""
 
 
 def _arm(port: Port) -> ServoBus:
-    # An arm is rare, so a robot without one does not load its module.
+    # Imported here because an arm is rare, so a robot without one does not load its module.
     from failstop.board.feetech.arm import FeetechArm
 
     return FeetechArm(port)
@@ -72,7 +72,7 @@ WIRE = Wire(
         rest=codec.STOP,
         check=codec.check_motion,
         speeds=codec.speeds,
-        # A wheel is on its servo's own axle, and the servo counts its turns.
+        # A wheel is on its servo's own axle, and the servo counts its own turns.
         scale_known=True,
     ),
     questions=tuple(
@@ -84,7 +84,7 @@ WIRE = Wire(
     ping_ns=100 * _MS,
     # The answers, and an adapter that holds bytes back for 16 ms.
     echo_ns=20 * _MS,
-    # Present speed, as an answer to each question.
+    # Each answer to a question has the present speed.
     reports=Reports(
         every_ns=125 * _MS,
         speed_per_rps=lambda per_rps, _diameter_m: per_rps,
@@ -93,7 +93,8 @@ WIRE = Wire(
         holds_speed=True,
         own_scale=False,
     ),
-    # Seven answers. A busy computer loses a few in a row, and a garbled length up to five (codec.BEFORE_QUESTION).
+    # As long as seven answers take. A busy computer loses a few in a row, and a garbled length loses up to five
+    # (codec.BEFORE_QUESTION).
     silent_ns=700 * _MS,
     commanders=(
         Commander(

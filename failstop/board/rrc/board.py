@@ -1,5 +1,5 @@
-"""The RRC as a board: its four wheels, its arm, its gamepad and its keys. Its frames are in codec.py, servos.py and
-decoder.py of the board room, its burst is in burst.py."""
+"""The RRC as a Board: its four wheels, its arm, its gamepad and its keys. codec.py, servos.py and decoder.py of this
+folder make and read its frames, and burst.py has its stop burst."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ _SAID: dict[int, Callable[[bytes], list[Said]]] = {
     framing.BUS_SERVO: _servo,
     framing.PWM_SERVO: _pong,
 }
-"""Reports by the function of their frames; empty for a frame that makes no sense.
+"""For each kind of frame, the function that makes its reports. It returns no reports if the frame makes no sense.
 
-The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the same
-answer, which counts too, because it also proves that the board hears. But it may answer a question that was asked up to
-0.1 ms before the ping (the time of a question on the wire), and it replaces the answer before it if the supervisor has
-not seen that one yet.
+The answer to a ping names the servo, and so shows which ping it belongs to. If a client reads the position of the same
+servo, it gets the same answer. That answer counts for the ping too, because it also proves that the board hears. There
+are two small errors. Such an answer may belong to a question that was asked up to 0.1 ms before the ping, which is the
+time of a question on the wire. And it replaces the answer before it, if the supervisor has not seen that one yet.
 """
 
 
@@ -92,7 +92,7 @@ class FrameHearing(Hearing):
         self._decoder = decoder.Decoder()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """All reports in the frames that these bytes complete."""
+        """Return all reports in the frames that these bytes complete."""
         found: list[Said] = []
         for func, data in self._decoder.feed(chunk):
             if said := _SAID.get(func):
@@ -105,7 +105,7 @@ class FrameHearing(Hearing):
 
 
 class Rrc(Board):
-    """The RRC as a Board, made of the constants and functions of the other modules."""
+    """The RRC as a Board, made of the constants and functions of the other modules in this folder."""
 
     __slots__ = ()
 
@@ -113,8 +113,8 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """The repeats of each writer. They may be at the same times, because the receiver accepts glued stops. The
-    supervisor repeats no stop, because the stopper does."""
+    """The repeats of each writer. The rows may have the same times, because the receiver accepts stops without a gap.
+    The supervisor repeats no stop, because the stopper does."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]
@@ -123,13 +123,13 @@ class Rrc(Board):
     ping_ns = 0
     echo_ns = fades_ns = 0
     silent_ns = 600_000_000
-    """The IMU never pauses for this long unless the board restarts. A shorter pause may be due to a busy computer or
-    adapter."""
+    """The IMU never pauses for this long unless the board restarts. A busy computer or adapter may cause a shorter
+    pause."""
     arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
     reports = NO_WHEEL_REPORTS
-    # The unit is turns per second, because its firmware knows the encoders of the motors.
+    # The unit is turns per second, because the board's firmware knows the encoders of its motors.
     per_rps = 1.0
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
@@ -151,19 +151,19 @@ class Rrc(Board):
     )
 
     def hearing(self) -> Hearing:
-        """A new reader for its frames."""
+        """Return a new decoder for the board's frames."""
         return FrameHearing()
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame that sets all four wheels."""
+        """Return the frame that sets all four wheels."""
         return codec.motor_speeds(rps, max_rps)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Why this is not a frame for four wheels that may be written; "" if it is."""
+        """Say why these bytes must not be written as a frame for four wheels. Returns "" if they may be written."""
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds in a frame for four wheels, by the ids in it."""
+        """Return the speeds in a frame for four wheels, by the ids in the frame. None for other bytes."""
         if not frame.startswith(framing.MOTOR_HEAD) or len(frame) < _SPEEDS.size:
             return None
         found = _SPEEDS.unpack_from(frame)
@@ -171,16 +171,16 @@ class Rrc(Board):
         return [by_id.get(wire_id, 0.0) for wire_id in range(framing.WHEELS)]
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """The buzzer's frame."""
+        """Return the frame that sounds the buzzer."""
         return codec.buzzer(freq_hz, on_ms, off_ms, repeat)
 
     def check_aux(self, frame: bytes) -> str:
-        """Why this is not a frame of the buzzer; "" if it is."""
+        """Say why these bytes must not be written as a frame for the buzzer. Returns "" if they may be written."""
         return codec.check_aux(frame)
 
 
 class SteeredRrc(SteeringMixin, Rrc):
-    """The RRC of a base with a steering servo."""
+    """The RRC of a base that has a steering servo."""
 
     __slots__ = ("_steering",)
 
@@ -192,5 +192,5 @@ BOARD = Rrc()
 
 
 def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
-    """Make the board. Its speeds are already in turns per second."""
+    """Make the board. Its speeds are already in turns per second, so it needs no diameter and no scale."""
     return SteeredRrc(steering) if steering else BOARD

@@ -2,20 +2,23 @@
 
     32 x 00, STOP, 257 x 00, STOP, STOP, STOP            (397 bytes, 4.0 ms at 1 Mbaud)
 
-A stop frame alone can be swallowed: the receiver may be waiting for the rest of a frame that was cut short, and takes
-up to 256 of the following bytes as that rest (firmware source). So the burst has five parts:
+A stop frame alone can get lost. The receiver may be waiting for the rest of a frame that was cut short. It then takes
+up to 256 of the following bytes for that rest (firmware source). So the burst has these parts:
 
-- Zeros are a safe filler. Between frames the receiver ignores them. If it waits for a function, they make an empty SYS
-  frame, which does nothing; if it waits for a length, they make the length 0. Stop frames would not be safe, because
-  `AA` could become a length of 170, and as the rest of a cut motor frame they could give it an invalid wheel id.
-- 32 zeros fill up any motor frame of this package that was cut (at most 22 bytes of data and the CRC are missing). The
-  receiver then drops it for its CRC, because codec.motor_speeds makes no motion frame whose CRC is zero at any cut, and
-  zeros can complete no other.
-- The first STOP ends at byte 59 (0.6 ms). It is parsed in every state except inside a frame with more than 31 bytes
-  left.
+- Zeros are a safe filler. Between frames the receiver ignores zeros. If it waits for a function, they make an empty SYS
+  frame, which does nothing. If it waits for a length, they make the length 0. More stop frames would not be safe
+  instead, because `AA` could become a length of 170. As the rest of a cut motor frame, they could also give that frame
+  an invalid wheel id.
+- 32 zeros complete any motor frame of this package that was cut, because at most 22 bytes of data and the CRC are
+  missing. The receiver then drops the frame because of its CRC. Zeros can only complete a frame whose CRC is zero at
+  the cut, and codec.motor_speeds makes no such motion frame.
+- The first STOP ends at byte 59 (0.6 ms). The receiver parses it in every state except one: inside a frame with more
+  than 31 bytes left.
 - 257 zeros are more than the longest possible rest of a frame (255 bytes of data and the CRC). So a frame that began
-  anywhere before them, even by a garbled byte in the first STOP, is over before the next STOP.
-- Three more STOPs follow any stray frame that the filler completed, and leave the receiver between frames.
+  anywhere before them is over before the next STOP. This is true even of a frame that began with a garbled byte in the
+  first STOP.
+- Three more STOPs stop the wheels after any stray frame that the filler completed. They also leave the receiver between
+  frames.
 """
 
 from __future__ import annotations
@@ -24,5 +27,5 @@ from failstop.board.rrc.codec import STOP
 
 BURST: bytes = bytes(32) + STOP + bytes(257) + STOP + STOP + STOP
 
-# How many bytes of the burst are out when the first stop is complete.
+# The length of the burst's beginning, up to the end of its first stop frame, in bytes.
 FIRST_STOP_END = 32 + len(STOP)

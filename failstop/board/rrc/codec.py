@@ -1,9 +1,9 @@
-"""Frames that move the wheels, the ping and the buzzer, and their checks before they are written; servos.py has an
-arm's frames.
+"""The frames for the wheels, the ping and the buzzer, and their checks before they are written. The frames for an arm
+are in servos.py.
 
-The board answers no motor frame, and its motor handler checks nothing: ids out of range write out of bounds, the count
-is not compared with the length, NaN is accepted as a speed (firmware source). So every value is checked here: an
-encoder either returns a frame that the board handles as intended, or raises FrameError.
+The board answers no motor frame, and its motor handler checks nothing (firmware source). Ids out of range make it write
+out of bounds, it does not compare the count with the length, and it accepts NaN as a speed. So every value is checked
+here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Faster than any wheel. A limit above this is a mistake, and would switch the check off.
+# Faster than any wheel. A limit above this is a mistake, because it would make the check useless.
 RPS_CEILING = 1000.0
 PWM_SERVOS = 4
 
@@ -27,7 +27,7 @@ PWM_SERVOS = 4
 _ROUNDING = 1.0 + 2.0**-23
 _SMALLEST_F32 = 2.0**-149
 
-# Head, func and len as one word, sub-command and count as another, so that fewer objects are made and compared per
+# Head, func and len are one word, and sub-command and count another, so that fewer objects are made and compared per
 # frame.
 _WHEELS4 = Struct("<IHBfBfBfBfB")
 _WHEELS4_WORD = 0x160355AA
@@ -41,7 +41,7 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 
 def speed_limit(max_rps: float) -> float:
-    """Return a speed limit in turns per second. Raises FrameError if it is not a valid one."""
+    """Return a speed limit in turns per second. Raises FrameError if it is not a valid limit."""
     return checks.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
@@ -51,11 +51,12 @@ def wheel_speed(wheel: int, rps: float, limit: float) -> float:
 
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
-    """The 27-byte frame that sets all four wheels: speeds in rps for wire ids 0 to 3 (motors 1 to 4), each within
-    plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP.
+    """Return the 27-byte frame that sets all four wheels. `rps` has turns per second for wire ids 0 to 3 (motors 1 to
+    4), each within plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP.
+    Raises FrameError.
 
-    A speed may be sent smaller by one or a few units in the last place of its float32, so that no frame is made that
-    the zeros of the stop burst could complete if it were cut short (see _complete_free).
+    If the frame were cut short, the zeros of the stop burst might complete it. To prevent this, a speed may be sent
+    smaller by one or a few units in the last place of its float32 (see _complete_free).
     """
     try:
         a, b, c, d = rps
@@ -67,7 +68,7 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
 
 
 _FLOATS = (5, 10, 15, 20)
-"""Where the speeds begin in func, len and data of the four-wheel frame."""
+"""Where the four speeds begin in the func, len and data of a four-wheel frame."""
 
 
 def _complete_free(body: bytes) -> bytes:
@@ -75,8 +76,8 @@ def _complete_free(body: bytes) -> bytes:
 
     Zeros leave a CRC of zero unchanged. So if a frame is cut where its CRC so far is zero (once in 256 cuts), the zeros
     of the burst complete it, and the board executes it with the speeds sent so far. To prevent that, the last speed
-    before such a place is made smaller by one unit in its last place, which changes the CRC, and the frame is checked
-    again.
+    before such a place is made smaller by one unit in its last place. This changes the CRC, so the frame is then
+    checked again.
     """
     crc = 0
     for at, byte in enumerate(body):
@@ -87,8 +88,8 @@ def _complete_free(body: bytes) -> bytes:
 
 
 def _one_unit_smaller(body: bytes, at: int) -> bytes:
-    """The frame's func, len and data with one speed made smaller: the last one that is not zero and begins before `at`.
-    Empty if there is none, and so nothing that could move a wheel."""
+    """Return the frame's func, len and data with one speed made smaller: the last speed before `at` that is not zero.
+    Empty if all speeds before `at` are zero, because then the cut frame can move no wheel."""
     for start in reversed(_FLOATS):
         if start <= at:
             bits = int.from_bytes(body[start : start + 4], "little")
@@ -98,17 +99,18 @@ def _one_unit_smaller(body: bytes, at: int) -> bytes:
 
 
 def check_motion(frame: bytes, max_rps: float) -> str:
-    """Why these bytes must not be written as a motion frame, in a few words; "" if they may.
+    """Say in a few words why these bytes must not be written as a motion frame. Returns "" if they may be written.
 
-    It accepts only the 27-byte frame for all four wheels, ids 0 to 3 in order, right CRC, every speed finite and within
-    plus or minus max_rps (rps, 0 to RPS_CEILING; rounding to float32 is allowed for). Never raises on bytes.
+    It accepts only the 27-byte frame for all four wheels, with ids 0 to 3 in order and the right CRC. Every speed must
+    be finite and within plus or minus max_rps (0 to RPS_CEILING turns per second, with an allowance for rounding to
+    float32). Never raises on bytes.
     """
     if len(frame) != _WHEELS4.size:
         return "not a motor frame"
     word, count, *entries, _ = _WHEELS4.unpack(frame)
     if word != _WHEELS4_WORD or count != _WHEELS4_COUNT:
         return "not a motor frame"
-    # There is no final xor, so the CRC over a frame with its own CRC is zero.
+    # There is no final xor, so the CRC over a frame and its own CRC is zero.
     if crc8(frame[2:]):
         return "bad crc"
     ids, speeds = tuple(entries[::2]), entries[1::2]
@@ -127,15 +129,17 @@ STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
 
 
 def pwm_servo_read(servo: int) -> bytes:
-    """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, even without a servo."""
+    """Return the ping: a question for a PWM servo's pulse (id 1 to 4). The board answers it from its memory, even if no
+    servo is connected."""
     return frame(PWM_SERVO, bytes((0x05, checks.integer("servo id", servo, 1, PWM_SERVOS))))
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-    """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever.
+    """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because it
+    once left a buzzer sounding forever.
 
-    The tone may be a few hertz lower, or higher at the low end, so that no frame is made that the zeros of the stop
-    burst could complete if it were cut short, because its off time would be 0.
+    If the frame were cut short, the zeros of the stop burst might complete it with an off time of 0. To prevent this,
+    the tone may be a few hertz lower, or a few hertz higher at the low end.
     """
     checks.integer("freq_hz", freq_hz, *_TONES)
     checks.integer("on_ms", on_ms, 1, 65_535)
@@ -143,17 +147,19 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     checks.integer("repeat", repeat, 1, 65_535)
     lowest, highest = _TONES
     near = (*range(freq_hz, max(lowest, freq_hz - _DETUNED) - 1, -1), *range(freq_hz + 1, highest + 1)[:_DETUNED])
-    # Each cut excludes at most one value of the tone's low byte, so one of this many is left.
+    # Each cut excludes at most one value of the tone's low byte, so at least one of these tones remains.
     data = (_BUZZER.pack(tone, on_ms, off_ms, repeat) for tone in near)
     return frame(BUZZER, next(each for each in data if not framing.zeros_complete(BUZZER, each)))
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as a frame that is not motion, in a few words; "" if they may.
+    """Say in a few words why these bytes must not be written as a frame that is not motion. Returns "" if they may be
+    written.
 
-    It accepts only one buzzer frame with the right length and CRC, which contains no start of a motor frame and which
-    the zeros of the stop burst can't complete at any cut: whole or cut, it moves nothing. The firmware's handlers of
-    other functions read lists past their end, and could change a wheel's set point. Never raises on bytes.
+    It accepts only a buzzer frame with the right length and CRC. The frame must contain no start of a motor frame, and
+    the zeros of the stop burst must not be able to complete it at any cut. So whole or cut, it moves nothing. No other
+    function is accepted, because the firmware's handlers of other functions read lists past their end, and could change
+    a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"

@@ -1,7 +1,7 @@
-"""Frames from the controller board: the incremental decoder, and a parser for each kind (vendor protocol description).
+"""Frames from the RRC: the decoder, and a parser for each kind of frame (vendor protocol description).
 
-A parser takes the data of one frame and returns None for data of the wrong length or content, so that telemetry goes on
-and nonsense is not passed on.
+A parser takes the data of one frame. It returns None if the data has the wrong length or content, so that nonsense is
+not passed on and telemetry goes on.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ _VALUES = {
 
 
 class Decoder:
-    """Turns bytes, in pieces of any size, into frames; keeps at most one frame's worth between calls.
+    """Turns bytes, in pieces of any size, into frames. Between calls it keeps at most the bytes of one frame.
 
-    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes, so that garbage does
-    not cost the whole frame after it (the board's own receiver does not do that).
+    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes. So garbage does not
+    also destroy the frame after it. The board's own receiver does not do that.
     """
 
     __slots__ = ("_pending",)
@@ -65,7 +65,7 @@ class Decoder:
         self._pending = b""
 
     def feed(self, chunk: bytes) -> list[tuple[int, bytes]]:
-        """Add bytes; returns (func, data) for each frame that they complete, in order."""
+        """Add bytes. Returns (func, data) for each frame that they complete, in order."""
         stream = self._pending + chunk
         end = len(stream)
         found: list[tuple[int, bytes]] = []
@@ -85,7 +85,7 @@ class Decoder:
             after = at + 5 + length
             if after > end:
                 break
-            # Over a good frame with its CRC, the CRC is zero.
+            # Computed over a good frame with its own CRC, the CRC is zero.
             if crc8(stream[at + 2 : after]):
                 at += len(HEAD)
                 continue
@@ -96,7 +96,7 @@ class Decoder:
 
 
 def battery_mv(data: bytes) -> int | None:
-    """SYS: the battery's voltage in mV."""
+    """Return the battery's voltage in mV, from the data of a SYS frame. None if the data has another form."""
     if len(data) != _BATTERY.size or data[0] != 0x04:
         return None
     millivolts: int = _BATTERY.unpack(data)[1]
@@ -104,14 +104,16 @@ def battery_mv(data: bytes) -> int | None:
 
 
 def key(data: bytes) -> tuple[int, int] | None:
-    """KEY: (key id, event), the event one of KEY_EVENTS."""
+    """Return (key id, event) from the data of a KEY frame. The event is one of KEY_EVENTS. None if the data has another
+    form."""
     if len(data) != 2 or data[1] not in KEY_EVENTS:
         return None
     return data[0], data[1]
 
 
 def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
-    """IMU: acceleration x y z in g, then gyro x y z in deg/s, finite or not."""
+    """Return acceleration x y z in g, then gyro x y z in deg/s, from the data of an IMU frame. The values may be
+    infinite or NaN. None if the data has another length."""
     if len(data) != _IMU.size:
         return None
     ax, ay, az, gx, gy, gz = _IMU.unpack(data)
@@ -119,7 +121,8 @@ def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
 
 
 def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
-    """GAMEPAD: (buttons as in interface.BUTTONS, hat, lx, ly, rx, ry), the axes -128 to 127."""
+    """Return (buttons, hat, lx, ly, rx, ry) from the data of a GAMEPAD frame. The buttons are the bits of
+    interface.BUTTONS, and the axes are -128 to 127. None if the data has another length."""
     if len(data) != _GAMEPAD.size:
         return None
     buttons, hat, lx, ly, rx, ry = _GAMEPAD.unpack(data)
@@ -127,10 +130,12 @@ def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
 
 
 def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
-    """PWM SERVO and BUS SERVO: (servo id, sub-command, value), the value None when a bus servo did not answer.
+    """Return (servo id, sub-command, value) from the data of a PWM SERVO or BUS SERVO frame. The value is None if a bus
+    servo did not answer. The result is None if the data has another form.
 
-    The sub-command is that of the request. PWM: 05 pulse in us, 09 deviation in us. Bus: 05 position, 07 supply in mV,
-    09 degrees Celsius, 0D torque on.
+    The sub-command is the one of the question. For a PWM servo, 05 is the pulse in us, and 09 the deviation in us. For
+    a bus servo, 05 is the position, 07 the supply in mV, 09 the temperature in degrees Celsius, and 0D is 1 if the
+    torque is on.
     """
     form = _VALUES.get((func, data[1])) if len(data) > 2 else None
     at = 3 if func == BUS_SERVO else 2
@@ -141,8 +146,8 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
 
 
 def pong(data: bytes) -> int | None:
-    """PWM SERVO: the index, 0 to 3, of the ping that it answers (the position of servo 1 to 4), or None if it answers
-    none."""
+    """Return the index (0 to 3) of the ping that the data of a PWM SERVO frame answers. The pings ask for the positions
+    of servos 1 to 4. None if the frame answers no ping."""
     reply = servo_reply(PWM_SERVO, data)
     if reply and reply[1] == _READ_POSITION and 1 <= reply[0] <= _PINGED_SERVOS:
         return reply[0] - 1

@@ -1,12 +1,15 @@
-"""The frames that a driver may write to Hiwonder's RRC, and what it hears: the vendor's Python SDK and its ROS node.
+"""The frames that a driver may write to Hiwonder's RRC, and what it hears. The driver is the vendor's Python SDK or its
+ROS node.
 
-They are taken byte by byte as the board's receiver takes them, which looks at nothing twice and waits for the rest of a
+Frames are read byte by byte as the board's receiver reads them: it looks at no byte twice and waits for the rest of a
 frame forever. A motor frame that names some motors leaves the others at their speed. The board's motor handler checks
-nothing, so a frame whose count does not fit its length, with a motor that does not exist, or with a speed that is no
-number is refused whole, and the wheels stop.
+nothing. So a motor frame is refused whole, and the wheels stop, if its count does not fit its length, if it names a
+motor that does not exist, or if a speed is not a finite number.
 
-A question that nobody answers blocks the SDK forever. So a servo's place is answered with what failstop itself has read
-last, and every other question with a failure of the full length. Reports that come unasked are passed on whole.
+A question without an answer would block the SDK forever. So every question is answered. If failstop has read the same
+value of the servo from the board, the answer is the last one from the board. Otherwise the answer reports a failure, in
+its full length, or 0 for a PWM servo, whose answer has no room for a failure. Reports that come unasked are passed on
+whole.
 
 Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
 """
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
-"""How long a driver waits for an answer: the SDK waits forever, so no answer is dropped."""
+"""How long a driver waits for an answer. The SDK waits forever, so this is long enough that no answer is dropped."""
 _PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
@@ -40,7 +43,7 @@ _PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, fra
 _NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
 _PWM_READS = {0x05: 2, 0x09: 1}
 _BUS_READS = {0x05: 2, 0x07: 2, 0x09: 1, 0x0D: 1, 0x12: 1, 0x22: 1, 0x32: 4, 0x36: 4, 0x3A: 1}
-"""How many bytes the value has in the answer to each question."""
+"""The questions to a servo, by sub-command, each with the number of bytes that the value in its answer has."""
 _PWM_SET_OFFSET = 0x07
 _BUS_SETS = (0x10, 0x20, 0x24, 0x30, 0x34, 0x38)
 _FAILED = b"\xff"
@@ -48,7 +51,7 @@ _FOR_PROGRAMS = "failstop steers by itself, and moves servos only for programs t
 
 
 class RrcDriver:
-    """One driver's frames, and what it gets from the board."""
+    """One driver's frames, and what the driver gets from the board."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, _FOREVER_NS, _PAST_NS
@@ -56,7 +59,7 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """True if bytes that begin no frame were reported already."""
+        """True if bytes that begin no frame were already reported."""
         self._speeds = [0.0] * WHEELS
         """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()
@@ -64,7 +67,7 @@ class RrcDriver:
         """The board's newest answer about a servo, by function, servo and question."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Handle the driver's frames."""
+        """Return what the driver asks for with its frames."""
         rows: list[Row] = []
         for value in chunk:
             rows += self._byte(value)
@@ -173,7 +176,7 @@ class RrcDriver:
         ]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's reports, in whole frames, but not the answers to failstop's own questions."""
+        """Pass on the board's reports, in whole frames. The answers to failstop's own questions are not passed on."""
         found: list[bytes] = []
         for func, data in self._decoder.feed(chunk):
             if func in _PASSED:
@@ -184,5 +187,5 @@ class RrcDriver:
 
 
 def language(_settings: Mapping[str, float | str]) -> RrcDriver:
-    """Begin a driver's conversation. It needs no setting."""
+    """Begin a driver's conversation. It needs no settings."""
     return RrcDriver()

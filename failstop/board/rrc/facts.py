@@ -1,5 +1,5 @@
-"""The facts about the RRC that are needed before a Board is made: four motors, an IMU, bus servos with 240 degrees in
-1000 pulses."""
+"""What the settings must know about the RRC before a Board is made. It has four motors and an IMU, and its bus servos
+turn 240 degrees in 1000 pulses."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Framing: the parts that all frames to and from the controller board share: functions, head and CRC.
+"""Framing: the parts that all frames to and from the RRC share, which are the functions, the head and the CRC.
 
-A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts only the data, and the CRC
-covers func, len and data (vendor protocol description).
+A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian. `len` counts only the data, and the CRC covers
+func, len and data (vendor protocol description).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_DATA = 255
 # Functions that the host sends to the board, except motion.
 AUX_FUNCS = (SYS, LED, BUZZER, PWM_SERVO, BUS_SERVO, OLED, RGB)
 
-# A receiver that is out of step takes this for the start of a motor frame, wherever it appears.
+# A receiver that has lost its place in the bytes takes this for the start of a motor frame, wherever it appears.
 MOTOR_HEAD = b"\xaa\x55\x03"
 
 
@@ -39,7 +39,8 @@ CRC_TABLE = _crc_table()
 
 
 def crc8(data: Iterable[int], crc: int = 0) -> int:
-    """CRC-8/MAXIM (reflected polynomial 0x8C, initial 0, no final xor) of bytes-like data; `crc` continues one."""
+    """Return the CRC-8/MAXIM of bytes-like data (reflected polynomial 0x8C, initial 0, no final xor). `crc` is the CRC
+    of the bytes before the data, if there are any."""
     table = CRC_TABLE
     for byte in data:
         crc = table[crc ^ byte]
@@ -47,15 +48,16 @@ def crc8(data: Iterable[int], crc: int = 0) -> int:
 
 
 def seal(func: int, data: bytes) -> bytes:
-    """Put head, function, length and CRC around data, without checks; for this folder's own encoders."""
+    """Put head, function, length and CRC around data. Nothing is checked, so only this folder's own encoders may use
+    it."""
     body = bytes((func, len(data))) + data
     return HEAD + body + bytes((crc8(body),))
 
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
-    """If this frame were cut off and zeros followed, after how many bytes of its data would the zeros complete it?
-    Returns the smallest such number that is at least `least` (1 or more), or 0 if there is none. Zeros can do that once
-    the CRC so far is zero: more zeros leave it zero, and the last one passes as the CRC."""
+    """Find out where this frame could be cut off so that zeros after the cut complete it. Zeros do that if the CRC up
+    to the cut is zero: more zeros leave it zero, and the last zero passes as the CRC. Returns after how many bytes of
+    data the first such cut is, not counting cuts before `least` (1 or more). Returns 0 if there is none."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:
@@ -65,10 +67,11 @@ def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
 
 
 def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
-    """Frame raw data (bytes-like, up to 255) for any function but MOTOR.
+    """Make the frame for any function except MOTOR from bytes-like data, up to 255 bytes.
 
-    Motor frames come from the checked motor encoders alone. For functions that go down, data that would put
-    `AA 55 03` on the wire is refused as well: a receiver that is out of step would take it for a motor frame.
+    Motor frames come only from the checked motor encoders. For functions that go to the board, data that would put `AA
+    55 03` on the wire is refused too, because a receiver that has lost its place in the bytes would take it for a motor
+    frame.
     """
     integer("func", func, SYS, RGB)
     if func == MOTOR:

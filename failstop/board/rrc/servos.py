@@ -1,11 +1,14 @@
 """Frames to the bus servos of an arm, and their check before they are written.
 
-The firmware handles a servo's frame inside its receive task, so every later frame, even a stop, waits until the servos'
-own bus (115200 baud) has taken it. So no frame is made or let pass that holds the receiver for longer than HELD_NS,
-except questions, which nobody asks while a wheel may turn. A servo also completes a timed move by itself, whatever has
-died since, so a move lasts LONGEST_MOVE_MS at most, and a long way is a stream of such moves.
+The firmware handles a servo's frame inside its receive task. So every later frame, even a stop, waits until the servos'
+own bus (115200 baud) has taken the servo's frame. That is why no frame may hold up the receiver for longer than
+HELD_NS. Only questions may, because nobody asks them while a wheel may turn.
 
-Commands that write a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) have no encoder and are refused.
+A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
+and a long way is a stream of short moves.
+
+Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). They have no encoder, and are
+refused.
 """
 
 from __future__ import annotations
@@ -36,14 +39,14 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
 EVERY_SERVO = 254
-"""The address of all servos. Don't use it on a robot before it was tested on a stand."""
+"""The address of all servos at once. Test it on a stand before you use it on a robot."""
 HIGHEST_POSITION = 1000
 PULSES_PER_RAD = 1500 / tau
-"""How many pulses make a radian, because a pulse is 0.24 degrees."""
+"""How many pulses make a radian. A pulse is 0.24 degrees."""
 STOP_NS = 521_000
-"""How long a stop takes on the servos' bus: six bytes."""
+"""How long a stop takes on the servos' bus, in ns. It has six bytes."""
 TORQUE_NS = 610_000
-"""How long a torque command takes on the servos' bus: seven bytes."""
+"""How long a torque command takes on the servos' bus, in ns. It has seven bytes."""
 MOST_STOPS = HELD_NS // STOP_NS
 
 _U16 = Struct("<H")
@@ -52,7 +55,8 @@ _MOVES_AT = 4
 
 
 def held_ns(frame: bytes) -> int:
-    """The longest time that a servo's frame holds the receiver, in ns; its form and its count must be right."""
+    """Return how long a servo's frame holds up the receiver at most, in ns. The frame's form and its count must be
+    right."""
     data = frame[4:]
     if data[0] == SERVO_MOVE:
         return MOVE_NS * data[3]
@@ -66,11 +70,12 @@ def _id(servo: int, highest: int = HIGHEST_ID) -> int:
 
 
 def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = LONGEST_MOVE_MS) -> bytes:
-    """Move one or two bus servos: (id 1 to 253, position 0 to 1000) each, in duration_ms (1 to longest_ms).
+    """Return the frame that moves one or two bus servos. Each position is (id 1 to 253, position 0 to 1000). The move
+    takes duration_ms, from 1 to longest_ms. Raises FrameError.
 
-    The move may last a few milliseconds longer, or less if longer is too long, so that no frame is made that the zeros
-    of the stop burst could complete if it were cut short: its last servo, or one with id 0, would be sent to another
-    place.
+    If the frame were cut short, the zeros of the stop burst might complete it, and then its last servo, or one with id
+    0, would move to another place. So the duration may be made a few milliseconds longer until that can't happen, or
+    shorter if longer is not allowed.
     """
     checks.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((checks.counted("moves", positions, 1, MOST_MOVES),))
@@ -86,10 +91,11 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays on.
+    """Return the frame that stops up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are. Their torque
+    stays on.
 
-    A stop has no value that could be varied, so zeros may complete one that was cut. It then stops fewer of these
-    servos, and a servo 0.
+    If the frame is cut short, zeros may complete it, because a stop has no value that could be varied to prevent this.
+    The completed frame stops fewer of these servos, and a servo 0.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
@@ -98,27 +104,29 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
 
 
 def bus_servo_stops(servos: Sequence[int]) -> tuple[bytes, ...]:
-    """As many frames as are needed to stop all of these."""
+    """Return as many frames as are needed to stop all these servos."""
     return tuple(bus_servo_stop(servos[at : at + MOST_STOPS]) for at in range(0, len(servos), MOST_STOPS))
 
 
 def bus_servo_read(servo: int, what: int) -> bytes:
-    """Ask a bus servo for its POSITION (usually 0 to 1000), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1:
-    on)."""
+    """Return the frame that asks a bus servo for its POSITION (usually 0 to 1000), SUPPLY (mV), TEMPERATURE (degrees
+    Celsius) or TORQUE (1 means on)."""
     if what not in READS:
         raise FrameError(f"what is {what!r}, must be one of {READS}")
     return frame(BUS_SERVO, bytes((what, _id(servo))))
 
 
 def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK swaps them)."""
+    """Return the frame that switches a bus servo's torque. Sub-command 0C is on and 0B is off. The vendor's SDK has
+    them the wrong way round."""
     if not isinstance(on, bool):
         raise FrameError(f"on is {on!r}, must be True or False")
     return frame(BUS_SERVO, bytes((TORQUE_ON if on else TORQUE_OFF, _id(servo))))
 
 
 def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-    """Why these bytes must not be written as a frame for these bus servos, in a few words; "" when they may.
+    """Say in a few words why these bytes must not be written as a frame for these bus servos. Returns "" if they may be
+    written.
 
     Only frames that the encoders above make pass. Never raises on bytes.
     """
@@ -155,7 +163,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
 
 
 def moves(frame: bytes) -> list[tuple[int, int, int]]:
-    """(id, position, duration in ns) of each servo that a frame moves; empty for other bytes. Never raises."""
+    """Return (id, position, duration in ns) for each servo that a frame moves. Empty for other bytes. Never raises."""
     data = frame[4:-1]
     if frame[:3] != HEAD + bytes((BUS_SERVO,)) or not data or data[0] != SERVO_MOVE or _move_fault(data, 0xFFFF):
         return []
@@ -164,7 +172,7 @@ def moves(frame: bytes) -> list[tuple[int, int, int]]:
 
 
 def _move_fault(data: bytes, longest_ms: int) -> str:
-    """The fault in the data of a move, apart from its servos; "" if there is none."""
+    """Return the fault in the data of a move. Returns "" if there is none. The ids of the servos are not checked."""
     if len(data) <= _MOVES_AT or len(data) != _MOVES_AT + 3 * data[3]:
         return "a count that is not its data's"
     duration_ms: int = _U16.unpack_from(data, 1)[0]
@@ -178,7 +186,8 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Why zeros would turn this move, if it were cut off, into another one: to another position, or of a servo 0. "" if
-    they would not. If it is cut off before its first servo, it moves none."""
+    """Return why a cut of this move is dangerous: zeros would complete it to another move, which moves a servo to
+    another position, or moves a servo 0. Returns "" if no cut is dangerous. A move that is cut off before its first
+    servo moves none."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

@@ -1,8 +1,8 @@
 """Steering: the frame that turns the servo of a steered base, and its check before it is written.
 
-It is part of the same write as the motor frame before it, because steering is motion: it is admitted and refused as
-motion is. A stop has no such frame, and leaves the wheels at their angle. The frame for a bus servo holds the board's
-receiver for MOVE_NS, so a stop right after it is that much later.
+Steering counts as motion, so this frame is part of the same write as the motor frame before it, and the two are
+accepted or refused together. A stop has no such frame, and leaves the steered wheels at their angle. The frame for a
+bus servo holds up the board's receiver for MOVE_NS, so a stop right after it comes that much later.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 PWM, BUS = "pwm", "bus"
 STEER = 3
-"""Sub-command for one PWM servo. The one for several takes the pulse for the time (firmware source), and is not
-used."""
+"""The sub-command for one PWM servo. The sub-command for several is not used, because the firmware takes their pulse
+for the time (firmware source)."""
 TAKES_MS = 20
-"""The servo's time for a move, which is the time until the next frame."""
+"""How long the servo may take for a move, in ms. It is the time until the next frame."""
 LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
@@ -36,20 +36,22 @@ class Steering(ServoSteering):
     __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
-        """The frame for this angle to the left. Raises FrameError for a larger angle than allowed.
+        """Return the frame that steers to this angle, positive to the left. Raises FrameError for an angle larger than
+        allowed.
 
-        The servo's time may be a few milliseconds longer, so that no frame is made that the zeros of the stop burst
-        could complete if it were cut short.
+        If the frame were cut short, the zeros of the stop burst might complete it. So the servo's time may be made a
+        few milliseconds longer, until no cut of the frame can be completed in this way.
         """
         pulses = self._pulses(angle_rad)
         if self.servo.kind == BUS:
             return servos.bus_servo_move(((self.servo.id, pulses),), TAKES_MS, LONGEST_WAY_MS)
-        # Each cut excludes at most one of these times, so one of this many is left.
+        # Each cut excludes at most one of these times, so at least one of them remains.
         every = (_PWM_DATA.pack(STEER, ms, self.servo.id, pulses) for ms in range(TAKES_MS, LONGEST_WAY_MS + 1))
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
-        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
+        bytes."""
         if self.servo.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"
