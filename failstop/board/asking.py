@@ -1,9 +1,10 @@
 """Asking: finds out which board is on an open port, by questions that move no wheel.
 
-A board is known by its answer to one of its questions, or, if it has no questions, by its reports. Before each question
-the stop of that board is written, because it ends any frame that was cut. No other board of failstop takes such a stop
-or question for motion, at any baud rate (tests/board/test_asking.py). Nobody knows how an unknown device takes them. So
-if your own board may be on the port, failstop writes nothing for the other boards and only listens.
+A board is recognised by its answer to one of its questions. A board that has no questions is recognised by its reports.
+Before each question failstop writes the stop of the same board, because a stop ends any frame that was cut. No board
+that failstop knows takes the stop or the question of another board for motion, at any baud rate
+(tests/board/test_asking.py). Nobody can promise this for an unknown device. So if your own board may be on the port,
+failstop writes nothing for the other boards and only listens.
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 ANSWER_S = 0.25
-"""How long to wait for an answer or a report, s: longer than any of these boards takes to answer, and longer than the
-time between two of its reports."""
+"""How long to wait for an answer or a report, in s. This is longer than any of these boards takes to answer, and longer
+than the time between two of its reports."""
 QUESTIONS = 2
-"""How often each board is asked, because a question may be lost on the line."""
+"""How often each board is asked. A single question may be lost on the line."""
 MORE_QUESTIONS = 2
-"""How often it is asked again if bytes come that answer nothing, because they may be from a part of the board."""
+"""How often a board is asked again if bytes come that answer nothing. Such bytes may come from one part of the board,
+while another part does not answer."""
 
 WIRES = "check the board's power, its cable (TX and RX must cross), device.path, and the baud rate of its firmware"
 """What people should check if no bytes come from the board."""
@@ -44,13 +46,14 @@ ADAPTERS = {
     "1a86:55d4": "CH9102",
     "1a86:7523": "CH340",
 }
-"""Chips between USB and a serial line, by vendor:product. They are in devices of every kind."""
+"""Chips between USB and a serial line, by vendor:product. Many kinds of devices have them, so they do not say which
+board it is."""
 DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
-"""The kernel's module for chips whose names begin like this; for all others it is cdc_acm."""
+"""The kernel's module for chips whose names begin like this. All other chips use cdc_acm."""
 
 
 class Unknown(Board):
-    """A board whose folder this user can't use. Nothing is known about it, and nothing is written to it."""
+    """A board whose folder this user can't use. Nothing is known about such a board, and nothing is written to it."""
 
     __slots__ = ("why",)
 
@@ -63,35 +66,36 @@ class Unknown(Board):
     observed_by = ""
 
     def __init__(self, why: str) -> None:
-        """`why`: one line for people that says why the board's folder can't be used, and what to do."""
+        """`why` is one line for people that says why the board's folder can't be used, and what to do."""
         self.why = why
 
 
 class Heard(Data):
-    """The result of asking at a port as one kind of board."""
+    """The result of asking the device at a port the questions of one kind of board."""
 
     kind: str
     known: bool
     """True if the device at the port is a board of this kind."""
     answered_ms: float | None
     reports: frozenset[int]
-    """The kinds of its reports, by the numbers in interface.py."""
+    """The kinds of its reports, as the HEARD_ numbers of interface.py."""
     size: int
-    """How many bytes were received, of whatever kind."""
+    """How many bytes were received, of any kind."""
     after_ns: int
-    """When the board was asked, counted from the opening of the port, ns."""
+    """How long after the opening of the port the board was asked, in ns."""
     firmware: str = ""
-    """Its firmware, if that is not the usual one."""
+    """The name of its firmware, if that is not the usual firmware."""
     other_baud: int = 0
-    """The baud rate at which it was asked, if that is not the one in the settings; else 0."""
+    """The baud rate at which it was asked, if that is not the rate in the settings. Else 0."""
     missing: tuple[int, ...] = ()
-    """The servos that do not answer although others of this board do."""
+    """The servos that do not answer, although other servos of the same board do."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Which board to ask when: (how long after the opening of the port, ns, and the board), for each turn. The board
-    that the user wants comes first, then boards without questions, because for them failstop only listens. `resets`:
-    opening the port may have reset the board, which then hears nothing for a while."""
+    """Yield which board to ask when: (how long after the opening of the port in ns, kind) for each attempt. The board
+    that the user wants comes first. Boards without questions come next, because for them failstop only listens. Set
+    `resets` if opening the port may have reset the board. Then each board that is deaf after a reset gets a second,
+    later attempt."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -101,12 +105,13 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask as one board after the other until one is found, which is then the last in the list. The stop of the first
-    board was written before. At the end, ask at the other baud rates that a board may have. `strangers`: write nothing
-    for the boards other than the first. Raises OSError if the device is gone."""
+    """Ask as one board after another until the device is recognised. The last result in the list is then the board that
+    was found. The caller must already have written the stop of the first board. If no board is found, ask again at the
+    other baud rates that a board may have. With `strangers`, nothing is written for any board except the first. Raises
+    OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
-    # Of a board that a Wire describes; others have one rate.
+    # Only boards that a Wire describes have other baud rates.
     others = [(0, kind, baud) for kind, board in boards.items() for baud in getattr(board, "other_bauds", ())]
     for due_ns, kind, baud in usual + others:
         time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
@@ -127,11 +132,12 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice, and again if bytes come that answer nothing. Returns after how many ms it answered, or None.
-    `stop`: write its stop first. Raises OSError if the device is gone.
+    """Ask a board twice, and some more times if bytes come that answer nothing. Returns after how many ms it answered,
+    or None. With `stop`, the board's stop is written before the first question too. Raises OSError if the device is
+    gone.
 
-    Before each further question the stop is written again. Its bytes complete a packet, if the receiver has taken the
-    bytes of another board for the beginning of one."""
+    Before each further question the stop is always written. If the receiver has taken bytes for another board for the
+    beginning of a packet, the stop's bytes complete that packet."""
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):
@@ -145,14 +151,15 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
 
 
 def heard_ms(tap: Tap, board: Board) -> float | None:
-    """The time in ms until the board answered a question. For a board without questions: until it reported that it
-    obeys zero speed. None if it did neither."""
+    """Return after how many ms the board answered a question. For a board without questions, return after how many ms
+    it reported that it obeys zero speed. None if it did neither."""
     return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """The result of looking for a board of this `kind`: True if it is present, False if not, None if that can't be
-    known; the same in words; and the remedy."""
+    """Return the result of looking for a board of this kind: (found, text, remedy). `found` is True if the board is on
+    the port, False if not, and None if that can't be known. The text says the same in words, and the remedy says what
+    to do."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

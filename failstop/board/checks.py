@@ -50,7 +50,7 @@ def group(field: str, value: Sequence[object], size: int) -> None:
 
 
 def distinct(field: str, ids: Sequence[int]) -> None:
-    """Raise FrameError if an id appears twice, because the later one would silently win."""
+    """Raise FrameError if an id appears twice, because then only the later value would count."""
     for at, value in enumerate(ids):
         if value in ids[:at]:
             raise FrameError(f"{field} {value} appears twice, must appear at most once")

@@ -1,4 +1,4 @@
-"""Described: a Board made from the description in a Wire, without a gamepad or keys."""
+"""Described: makes a Board from the description in a Wire. Such a board has no gamepad and no keys."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
-"""The most samples from one feed(), because a reader that never ends would hold up telemetry."""
+"""The most samples that one feed() returns. A reader that never ends would otherwise hold up telemetry forever."""
 MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
-"""The largest load of a servo that is kept, as a share. It is kept in percent, in a byte; Feetech's loads go up to
-1.023."""
+"""The largest load of a servo that is passed on, as a share, because a load is stored in percent in one byte. Feetech's
+loads go up to 1.023."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 
 
 class Samples(Hearing):
-    """Decodes bytes with the description's reader."""
+    """Decodes the board's bytes with the reader of its description."""
 
     __slots__ = ("_reader", "_wire")
 
@@ -56,7 +56,7 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Everything that these bytes report, and which pings they answer."""
+        """Return everything that these bytes report, and which pings they answer."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -70,7 +70,7 @@ class Samples(Hearing):
         return found
 
     def reset(self) -> None:
-        """Start again with a new reader."""
+        """Start again with a new reader, which has no incomplete sample."""
         self._reader = self._wire.reader()
 
 
@@ -83,7 +83,7 @@ def _said(sample: Sample) -> list[Said]:
 
 
 def _plausible(sample: Sample) -> list[Said]:
-    """The reports in a sample. Raises one of IMPOSSIBLE."""
+    """Return the reports in a sample. Raises one of IMPOSSIBLE."""
     if isinstance(sample, Wheels):
         return [(HEARD_WHEELS, (_wheels(sample.speeds, 0), _wheels(sample.positions, 0)))]
     if isinstance(sample, Obeyed):
@@ -128,7 +128,8 @@ def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
 
 
 class Described(Board):
-    """A board with the number and the unit of speeds that the description's motion has."""
+    """A board that is described by a Wire. It has as many speeds per frame as the description's motion, in the same
+    unit."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
@@ -140,8 +141,8 @@ class Described(Board):
     usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int = 0) -> None:
-        """`per_rps`: how many of the board's speed units make one wheel turn per second; `diameter_m`: the diameter of
-        a wheel; `baud`: the baud rate, 0: the usual one."""
+        """`per_rps` is how many of the board's speed units make one wheel turn per second, `diameter_m` is the diameter
+        of a wheel, and `baud` is the baud rate (0 means the usual rate)."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
         self.scale_assumed = False
@@ -167,32 +168,33 @@ class Described(Board):
         self.step_rps = wire.motion.step / per_rps
 
     def hearing(self) -> Hearing:
-        """The samples of the description's reader."""
+        """Return a new decoder that uses the description's reader."""
         return Samples(self._wire)
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame that sets all wheels."""
+        """Return the frame that sets all wheels."""
         limit = self._limit(max_rps)
         every = [number("speed of a wheel", speed, -max_rps, max_rps, "rps") for speed in rps]
         return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """The check of the description, with the limit converted to the board's unit."""
+        """Check a motion frame with the check of the description. The limit is converted to the board's unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds of all wheels."""
+        """Return the speeds of all wheels in a motion frame."""
         found = self._motion.speeds(frame)
         return None if found is None else tuple([speed / self.per_rps for speed in found])
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds of a motion frame or a stop, if the board reports its command and has no pings."""
+        """Return the speeds of a motion frame or a stop. None if the board does not report the command that it obeys,
+        or if it has pings."""
         if not self.echo_ns or self.pings:
             return None
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """The frame, changed as the description's motion marks it."""
+        """Return the frame with the mark of this turn, if the description's motion has marks."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
@@ -203,7 +205,8 @@ class Described(Board):
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """The check of the description. Motion never passes, and nothing passes without a check."""
+        """Check a frame that is not motion with the check of the description. A motion frame never passes. If the
+        description has no such check, nothing passes."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"
         try:

@@ -1,10 +1,11 @@
-"""Finder: after the port was lost, finds out which of the present serial ports is the board.
+"""Finder: after the port was lost, finds out which of the serial ports is the board.
 
-The path in the settings is not enough, because a hub that resets may give the board's number, or its link, to a
-look-alike. So the board is recognised by what its USB device reports and, if that is not enough, by the socket it is
-plugged into. CHOICES is the policy.
+The path in the settings is not enough. If a hub resets, another device of the same type may get the board's number or
+its link. So the board is recognised by what its USB device reports and, if that is not enough, by the socket where it
+is plugged in. CHOICES has the rules.
 
-If a process keeps a tty open over an unplug, its number stays in use, so the board comes back with another one.
+If a process keeps a tty open over an unplug, the number of the tty stays in use, so the board comes back with another
+number.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from failstop.board.wire import Port
 
 SEARCH_EVERY_NS = 10_000_000
-"""How often sysfs is searched, which takes about 0.1 ms."""
+"""How often sysfs is searched, in ns. A search takes about 0.1 ms."""
 USB_DEPTH = 6
 """A tty is at most this many directories below its USB device."""
 SERIAL_NODES = ("ttyACM", "ttyUSB")
@@ -36,13 +37,14 @@ class Device:
         self.vendor = vendor
         self.product = product
         self.serial = serial
-        """Its serial number; empty if it has none. Many adapters have none, and some makers give the same one to all of
-        theirs."""
+        """The device's serial number. Empty if it has none, as many adapters. Some makers give the same number to all
+        devices."""
         self.part = part
-        """Which port of the device it is, if the device has several: the USB interface, and the number of the port in
+        """If the device has several ports, which of them this is: the USB interface, and the number of the port in
         it."""
         self.place = place
-        """The socket: the bus, and the number of the port on each hub, for example 1-1.2."""
+        """The socket where the device is plugged in: the bus, and the number of the port on each hub, for example
+        1-1.2."""
 
     @property
     def what(self) -> tuple[str, ...]:
@@ -51,7 +53,7 @@ class Device:
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """The part of the description that all devices with this chip share."""
+        """The part of the description that all devices with the same chip share."""
         return self.vendor, self.product, self.part
 
     def __eq__(self, other: object) -> bool:
@@ -65,8 +67,8 @@ class Device:
 
 
 def identity(device: str, like: Device | None = None) -> Device | None:
-    """The USB device above a tty's `device` link in sysfs. None if there is none, as for a pty or a serial pin, or if
-    its vendor or product differs from that of `like`."""
+    """Return the USB device above a tty's `device` link in sysfs. None if there is no USB device, as for a pty or a
+    serial pin. None also if its vendor or product differs from that of `like`."""
     folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
         if vendor := _line(f"{folder}/idVendor"):
@@ -75,19 +77,20 @@ def identity(device: str, like: Device | None = None) -> Device | None:
                 return None
             interface = whole[len(folder) + 1 :].partition("/")[0].partition(":")[2]
             part = f"{interface} {_line(f'{whole}/port_number')}".rstrip()
-            # The kernel answers this under the device's lock, so it may take long while the device is being reset.
+            # The kernel reads this under the device's lock, so it may take long while the device is being reset.
             return Device(vendor, product, _line(f"{folder}/serial"), part, os.path.basename(folder))
         folder = os.path.dirname(folder)
     return None
 
 
 def of_number(number: int, sysfs: str = "/sys") -> Device | None:
-    """The USB device of a character device's number; None if it has none."""
+    """Return the USB device that has this character device number. None if there is none."""
     return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
 
 
 def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
-    """Every serial port on USB, by its path; only those with the vendor and product of `like`, if it is given."""
+    """Return every serial port on USB, by its path. If `like` is given, only ports with the same vendor and product are
+    returned."""
     try:
         names = os.listdir(f"{sysfs}/class/tty")
     except OSError:
@@ -97,8 +100,9 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
-    """The other serial ports with the same vendor and product, by path; and True if one of them can't be told from this
-    one, because both have the same serial number or both have none."""
+    """Return (others, ambiguous). `others` are the other serial ports with the same vendor and product, by path.
+    `ambiguous` is True if one of them can't be told from `own`, because both have the same serial number or both have
+    none."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -112,15 +116,15 @@ def _line(path: str) -> str:
 
 
 class Search:
-    """The facts that CHOICES decides on: the board as it was last known, and the devices present now."""
+    """The facts that CHOICES decides on: the board as it was last known, and the devices that are present."""
 
     __slots__ = ("at_path", "board", "devices", "neighbours")
 
     def __init__(
         self, board: Device, neighbours: Iterable[Device], devices: Iterable[Device], at_path: Device | None
     ) -> None:
-        """`neighbours`: other devices that were present while the board was; `at_path`: the device at the settings'
-        path."""
+        """`neighbours` are other devices that were present together with the board. `at_path` is the device at the path
+        in the settings."""
         self.board = board
         self.neighbours = frozenset(neighbours)
         self.devices = frozenset(devices)
@@ -136,8 +140,8 @@ class Search:
         return [] if self.board.serial else self._moved()
 
     def _moved(self) -> list[Device]:
-        """Devices with the same description as the board (vendor, product, serial number). Neighbours that are still in
-        their own sockets don't count."""
+        """Return the devices that have the same description as the board (vendor, product, serial number). Neighbours
+        that are still in their own sockets don't count."""
         return [device for device in self.devices - self.neighbours if device.what == self.board.what]
 
     def in_its_stead(self) -> list[Device]:
@@ -148,18 +152,19 @@ class Search:
 
 
 CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
-    # the devices that this row is about                          whether it is the board for sure
+    # the devices that the row finds                               True if such a device is certainly the board
     (Search.in_place, True),  # the same device, in the socket where it was
     (Search.with_its_serial, True),  # its serial number, in another socket
     (Search.without_serial, False),  # no serial numbers: one like it, in another socket
     (Search.in_its_stead, False),  # a spare: one of the same kind at the path, in the socket where the board was
 )
-"""The device to take for the board: the first row that finds any decides. If it finds more than one, nobody can say
-which is the board, so none is taken. A device that is not sure is believed once it answers as the board does."""
+"""The rules for which device is the board. The first row that finds any device decides. If it finds several, nobody can
+say which of them is the board, so none is chosen. A device that is not certain is believed once it answers as the board
+does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
-    """The device to take for the board (None: none), and True if it is certainly the board. Pure."""
+    """Return the device that is the board by the rules of CHOICES, or None, and True if this is certain. Pure."""
     for choice, sure in CHOICES:
         if found := choice(search):
             return (found[0], sure) if len(found) == 1 else (None, False)
@@ -167,12 +172,12 @@ def pick(search: Search) -> tuple[Device | None, bool]:
 
 
 class Finder:
-    """Finds the port of one board. `at` is the path where it was last opened."""
+    """Finds the port of one board. `at` is the path where the board was last opened."""
 
     __slots__ = ("_board", "_held", "_line", "_look_at_ns", "_neighbours", "_path", "_sysfs", "at", "sure")
 
     def __init__(self, path: str, line: Port, sysfs: str = "/sys") -> None:
-        """`path`: the board's path in the settings."""
+        """`path` is the board's path in the settings."""
         self._line = line
         self._path = path
         self._sysfs = sysfs
@@ -184,15 +189,16 @@ class Finder:
         self._look_at_ns = 0
         self.at = path
         self.sure = True
-        """False while the open device was accepted as the board only because no better one was found."""
+        """False while the open device is not certain to be the board, because it was only the best one that was
+        found."""
 
     def learn(self, descriptor: int) -> None:
-        """Remember the open device as the board, as at the start of a run."""
+        """Remember the open device as the board, for example at the start of a run."""
         self._board = self._held = self._of_number(os.fstat(descriptor).st_rdev)
 
     @property
     def settled(self) -> bool:
-        """True while the open device is the known board, if one was known."""
+        """True while the open device is the known board. Also True if no board was ever known."""
         return self._held == self._board
 
     def believe(self) -> None:
@@ -200,13 +206,14 @@ class Finder:
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember the other devices while the board is present: after a loss they are not the board."""
+        """Remember the other devices while the board is present, because they can't be the board after a loss."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 
     def open(self, now_ns: int) -> int:
-        """Open the board's port wherever it is, exclusively; -1 if that fails. Never raises."""
-        if self._board is None:  # only its path is known
+        """Open the board's port exclusively, wherever it is. Returns its descriptor, or -1 if that fails. Never
+        raises."""
+        if self._board is None:  # only the board's path is known
             return self._open(self._path, None, sure=True)
         at_path = self._at_path()
         if at_path == self._board:
@@ -220,7 +227,7 @@ class Finder:
         return self._open(path, device, sure=sure) if path else -1
 
     def misplaced(self) -> bool:
-        """True if the board is certainly present and is not the open device."""
+        """True if the board is certainly present, but another device is open."""
         if self.settled or self._board is None:
             return False
         device, sure = pick(Search(self._board, self._neighbours, self._devices().values(), self._at_path()))
@@ -231,7 +238,7 @@ class Finder:
         if descriptor < 0:
             return -1
         self._held = self._of_number(os.fstat(descriptor).st_rdev)
-        if device and self._held != device:  # another device has got the number meanwhile
+        if device and self._held != device:  # another device has got this number in the meantime
             port.close_port(descriptor)
             return -1
         self.at, self.sure = path, sure
@@ -248,7 +255,7 @@ class Finder:
             return None
 
     def _devices(self) -> dict[str, Device]:
-        """The devices that have the board's vendor and product, by path. The device at the settings' path is listed
-        under that path."""
+        """Return the devices that have the board's vendor and product, by path. The device at the settings' path is
+        listed under that path."""
         at_path = self._at_path()
         return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

@@ -1,12 +1,12 @@
-"""Handled: up to which write the board has certainly handled the bytes written to it. Pure.
+"""Handled: finds out up to which write the board has certainly handled the bytes that were written to it. Pure.
 
-An answer does not say which question it belongs to, nor an echo which frame. But the board handles frames in the order
-in which they were written, and its answers come back in that order too, whatever was lost on the way. So among all the
-places where the answers fit the writes, the earliest is never later than the true one. That place is what counts: then
-no delay can make an old answer prove a new stop.
+An answer does not say which question it belongs to, and an echo (the board's report of the command that it obeys) does
+not say which frame it belongs to. But the board handles frames in the order in which they were written, and its answers
+come back in that order too. So failstop matches each answer with the earliest question that it fits. This question is
+never later than the true one, even if frames were lost. So no delay can make an old answer prove a new stop.
 
-After a loss the earliest place lags behind the true one, so a stop may be acknowledged late or not at all. It catches
-up soon if the writes follow no regular order (schedule.Pings, Motion.marked).
+After a loss, the matched question may be earlier than the true one, so a stop may be acknowledged late or not at all.
+The matching catches up soon, because the order of the writes is irregular (schedule.Pings, Motion.marked).
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""Used in place of a ping's index: a command was written."""
+"""Stands in the place of a ping's index, and means that a command was written."""
 GIVEN_UP_NS = 10_000_000_000
-"""A question that has no answer after this time never gets one. All proofs of a stop depend on this: if a line held
-bytes back for longer, there and back together, a late answer could look like an early one."""
+"""A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If bytes
+could be held back for longer, there and back together, a late answer to an old question could be taken for an answer to
+a new one."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""Stops that several writers write within this time count as one, because all of them answer the same cause."""
+"""If several writers write a stop within this time, in ns, their stops count as one, because all of them answer the
+same cause."""
 MARGIN_NS = 100_000_000
-"""By how much a board's own watchdog may act early."""
+"""A board's own watchdog may act this much too early, in ns."""
 
 
 class Answers:
@@ -40,12 +42,13 @@ class Answers:
         self._open: deque[tuple[int, int]] = deque()
 
     def asked(self, index: int, asked_ns: int) -> None:
-        """The question with this index is about to be written."""
+        """Record that the question with this index is about to be written."""
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """When the earliest question was asked to which this can be the answer; 0 if there is none. `indices`: the
-        questions that have this answer. All questions before that one are closed, because their answers were lost."""
+        """Return when the earliest question was asked to which this can be the answer, in ns. 0 if there is no such
+        question. `indices` are the questions that have this answer. All questions before the returned one are closed,
+        because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -59,34 +62,35 @@ class Answers:
 
 
 class Echo:
-    """Commands that the board may still report as obeyed, for a board without pings.
+    """Commands that the board may still report as obeyed. This is for a board without pings.
 
-    An echo of zeros proves a stop only if the echo of motion came before it, because a board with a broken command wire
-    reports zero too. The board also reports zero when its own watchdog has acted, so the motion must be younger than
-    that.
+    The board's report of the command that it obeys is called an echo. An echo of zeros proves a stop only if an echo of
+    motion came before it, because a board whose command wire is broken also reports zeros. The board also reports zeros
+    after its own watchdog has acted. So the motion must be younger than the time after which the watchdog acts.
     """
 
     def __init__(self, fades_ns: int) -> None:
-        """`fades_ns`: how long after the last frame its watchdog sets the command to zero; 0: it has none."""
+        """`fades_ns` is how long after the last frame the board's own watchdog sets the command to zero, in ns. 0 if
+        the board has no watchdog."""
         self._fades_ns = max(1, fades_ns - MARGIN_NS) if fades_ns else 0
         self._open: deque[tuple[tuple[float, ...], int]] = deque(maxlen=COMMANDS_KEPT)
         self._written: tuple[float, ...] | None = None
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
-        """When the motion was written that the board last reported as obeyed; 0 if it does not report motion."""
+        """When the motion that the board last reported was written, in ns. 0 if its last report was not motion."""
         self.faded_ns = 0
-        """When the last motion was written that the board has heard, if its own watchdog has set the command to zero
-        since then; else 0."""
+        """If the board's own watchdog has set the command to zero, when the last motion that the board has heard was
+        written, in ns. 0 if the watchdog has not acted since then."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
-        """A command was written. Of equal commands in a row only the first counts."""
+        """Record that a command was written. Of equal commands in a row only the first one counts."""
         if (written := tuple(speeds)) != self._written:
             self._written = written
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """When the stop was written that this report proves; 0 if it proves none. `others_ns`: when other processes
-        last wrote a stop."""
+        """Return when the stop that this report proves was written, in ns. 0 if the report proves no stop. `others_ns`
+        are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -111,7 +115,8 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """The place of the earliest command with these speeds, and when it was written; zeros if there is none."""
+        """Return the place of the earliest command with these speeds, counted from 1, and when it was written. (0, 0)
+        if there is none."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -125,25 +130,27 @@ class Echo:
 
 
 class Handled:
-    """Follows how far the board has handled what was written, by everything that it reports. Call wrote() before each
+    """Follows how far the board has handled what was written to it, by all that it reports. Call wrote() before each
     write, and heard() for each report."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
-        """`since_ns`: everything that was written until then counts as handled."""
+        """`since_ns` is a time: everything that was written until then counts as handled."""
         self._board, self._since_ns = board, since_ns
         self._answers, self._echo = Answers(), Echo(board.fades_ns)
         self._by_echo = board.echo_ns > 0
         self._zeros = False
         self.asked_ns = 0
-        """When the newest question that is known to be answered was written."""
+        """When the newest question that has certainly been answered was written, in ns."""
 
     @property
     def faded_ns(self) -> int:
-        """When the last motion was written that the board's own watchdog has ended, as in Echo; else 0."""
+        """The same as Echo.faded_ns: if the board's own watchdog has ended the last motion, when that motion was
+        written. Else 0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
-        """A ping with this index, or (index COMMANDED) a command with these speeds, is about to be written."""
+        """Record what is about to be written: the ping with this index, or a command with these speeds if the index is
+        COMMANDED."""
         if written_ns <= self._since_ns:
             return
         if index == COMMANDED:
@@ -152,8 +159,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns the time of a write (ns) up to which the board has now
-        handled everything, and obeys a stop that was among it; 0: nothing new is proved. `others_ns`: see Echo."""
+        """Handle a report that came at `came_ns`. Returns a time in ns: the board has handled everything that was
+        written up to then, and if a stop was among it, the board obeys the stop. Returns 0 if the report proves nothing
+        new. `others_ns` is as in Echo.obeyed()."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

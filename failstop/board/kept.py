@@ -1,5 +1,6 @@
-"""Kept: the stop of your own board as plain numbers and bytes. The service keeps it in its runtime directory, so that
-`failstop stop` can write it without running the description, which is a program and may be broken by then."""
+"""Kept: the stop of your own board as plain numbers and bytes. The service keeps it in its runtime directory. With it,
+`failstop stop` can stop the robot without running the board's description, which is a program and may be broken by
+then."""
 
 from __future__ import annotations
 
@@ -8,14 +9,15 @@ from failstop.board.wire import Port
 
 FIELDS = 7
 LONGEST_BURST = 4096
-"""The longest stop burst that is accepted, bytes."""
+"""The longest stop burst that is accepted, in bytes."""
 MOST_REPEATS = 8
 MOST_NS = 2_000_000_000
-"""The longest time that is accepted in a kept stop, ns."""
+"""The longest time that is accepted in a kept stop, in ns."""
 
 
 def pack_stop(board: Board) -> str:
-    """A board's stop as one line, for unpack_stop(). Every writer gets the repeats of the last row."""
+    """Return a board's stop as one line of text that unpack_stop() can read. Only the last row of repeats is kept, and
+    every writer gets it."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
     repeats = ",".join(map(str, board.repeats_ns[-1]))
@@ -23,7 +25,7 @@ def pack_stop(board: Board) -> str:
 
 
 def unpack_stop(kept: str) -> Kept | None:
-    """The stop in a line that pack_stop() has made; None for any other line."""
+    """Return the stop in a line that pack_stop() has made, or None for any other line."""
     words = kept.split(" ")
     try:
         baud, dtr, rts, idle_ns, after_ns = map(int, words[:5])
@@ -39,7 +41,7 @@ def unpack_stop(kept: str) -> Kept | None:
 
 
 class Kept(Board):
-    """A board of which only the stop is known, so nothing can be asked."""
+    """A board of which only the stop is known, so it can't be asked anything."""
 
     __slots__ = ("after_ns", "burst", "first_stop", "idle_ns", "port", "repeats_ns", "stop")
 

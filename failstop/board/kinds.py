@@ -1,4 +1,5 @@
-"""Kinds: the boards that failstop knows. Each is described by a folder, which is in failstop/board or is your own."""
+"""Kinds: the kinds of boards that failstop knows. Each kind is described by a folder, either in failstop/board or your
+own one."""
 
 from __future__ import annotations
 
@@ -14,26 +15,26 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 KINDS = ("arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc")
-"""The boards in failstop/board that a Wire describes."""
+"""The kinds of boards in failstop/board that are described by a Wire."""
 ALL_KINDS = ("rrc", *KINDS)
-"""All boards in failstop/board, the usual one first."""
+"""All kinds of boards in failstop/board. The usual kind comes first."""
 SAME_PER_RPS = 0.01
-"""Two scales that differ by less than this share count as equal, because they are written with few digits."""
+"""Two scales count as equal if they differ by less than this share, because people write them with few digits."""
 
 
 def is_own(kind: str) -> bool:
-    """True for a path, which names the folder of your own board."""
+    """True if `kind` is a path, which names the folder of your own board."""
     return kind.startswith("/")
 
 
 def is_described(kind: str) -> bool:
-    """True if a Wire describes this kind of board."""
+    """True if this kind of board is described by a Wire."""
     return kind in KINDS or is_own(kind)
 
 
 def facts_of(kind: str) -> Facts | None:
-    """What the settings need to know about one of ALL_KINDS; None for a board in your own folder. Imports the facts of
-    that board only."""
+    """Return what the settings need to know about one of ALL_KINDS, or None for a board in your own folder. No other
+    board's modules are imported."""
     if kind not in ALL_KINDS:
         return None
     facts: Facts = __import__(f"failstop.board.{kind}.facts", fromlist=["FACTS"]).FACTS
@@ -41,9 +42,12 @@ def facts_of(kind: str) -> Facts | None:
 
 
 def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = USUAL_CAN_ID) -> Wire:
-    """The description of one of KINDS, or of your own board. `tried`: it was loaded before this process was started, so
-    no child process has to try it first (own.py); `speeds`: how many speeds a frame sets (0: as usual), `can_id`: the
-    second motor's, for a board with several descriptions. Imports nothing of other boards. Raises ValueError."""
+    """Return the description of one of KINDS, or of your own board. Raises ValueError.
+
+    Set `tried` if your own board was already loaded before this process was started, so that no child process has to
+    test it first (own.py). Boards with several descriptions need `speeds`, which is how many speeds a frame sets (0
+    means the usual number), and `can_id`, which is the CAN id of the second motor. No other board's modules are
+    imported."""
     if is_own(kind):
         from failstop.board import own
 
@@ -56,8 +60,9 @@ def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = US
 
 
 def watchdog_of(kind: str) -> tuple[float, str]:
-    """The board's own watchdog: after how many seconds it acts (0: it has none), and what it does, as one of wire.py's
-    words. For your own board this is not looked up."""
+    """Return how many seconds after the last motion the board's own watchdog acts, and what it does (ZERO, COAST or
+    DISARM of wire.py). The time is 0 if the board has no watchdog. It is also 0 for your own board, because your folder
+    is not loaded for this."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog
@@ -76,11 +81,13 @@ def board_of(
     *,
     tried: bool = False,
 ) -> Board:
-    """The board of the setting board.kind. `per_rps`: one turn of a wheel per second in the board's unit; 0: as usual
-    for such boards. `steering`: the servo of a steered base; None if there is none. `confirmed_per_rps`: the `per_rps`
-    that somebody has confirmed by turning a wheel; 0: none. `baud`: the baud rate with which its firmware was built; 0:
-    as usual. `can_id`: the id of the second motor, if it is connected by CAN. `speeds`, `tried`: as for wire_of().
-    Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
+    """Make the board of the setting board.kind. Raises OwnBoardError, which is a ValueError.
+
+    `per_rps` is one turn per second of a wheel in the board's unit, and 0 means the usual number for such boards.
+    `steering` is the servo of a steered base, or None. `confirmed_per_rps` is the `per_rps` that somebody has confirmed
+    by turning a wheel, and 0 means that nobody has. `baud` is the baud rate for which the board's firmware was built,
+    and 0 means the usual rate. `can_id` is the CAN id of the second motor, if there is one. `speeds` and `tried` are
+    passed to wire_of(). No other board's modules are imported."""
     if is_described(kind):
         from failstop.board.described import Described, SteeredBoard
 
@@ -95,8 +102,8 @@ def board_of(
 
 
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
-    """True if nobody knows that the scale of `board` is right. A number that a person wrote into the settings was not
-    tried, and a confirmed number does not count for another one."""
+    """True if nobody has confirmed that the scale of `board` is right. A number that a person has only written into the
+    settings is not confirmed. If another number was confirmed, that does not help either."""
     if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
     usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)

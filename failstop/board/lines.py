@@ -1,4 +1,4 @@
-"""Lines: shared code for boards whose commands and answers are lines of text."""
+"""Lines: code for all boards whose commands and answers are lines of text."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ if TYPE_CHECKING:
 
 
 class MotionLine:
-    """The line that sets the speeds of the left and the right wheels. It has the methods that wire.Motion needs."""
+    """The line that sets the speeds of the left and the right wheels. This class has the methods that wire.Motion
+    needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
-        """`form`: a pattern with a group for each speed; `write`: makes the line, truncated towards zero; `most`: the
-        largest speed that the board takes, in its `unit`."""
+        """`form` is the pattern of the line, with a group for each speed. `write` makes the line from left and right,
+        truncated towards zero. `most` is the largest speed that the board accepts, in `unit`."""
         self._form, self._write, self._most, self._unit = form, write, most, unit
 
     def frame(self, both: Sequence[float], limit: float) -> bytes:
-        """The line for left and right, each within plus or minus `limit`. Raises FrameError."""
+        """Return the line for left and right, each within plus or minus `limit`. Raises FrameError."""
         return self._write(*two_speeds(both, limit, self._most, self._unit))
 
     def speeds(self, frame: bytes) -> tuple[float, float] | None:
-        """Left and right in a motion line; None for other bytes."""
+        """Return left and right in a motion line, or None for other bytes."""
         found = self._form.fullmatch(frame)
         return (float(found[1]), float(found[2])) if found else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Why these bytes must not be written as a motion line; "" if they may. Never raises on bytes."""
+        """Say why these bytes must not be written as a motion line. Returns "" if they may be written. Never raises on
+        bytes."""
         found = self.speeds(frame)
         if found is None:
             return "not a motion line"
@@ -41,8 +43,8 @@ class LineReader(Reader):
     """Makes samples from the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples`: makes the samples of one line; `longest`: how many bytes at the end of an incomplete line are
-        kept."""
+        """`samples` makes the samples of one line. `longest` is how many bytes of an incomplete line are kept, counted
+        from its end."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

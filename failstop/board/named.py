@@ -1,9 +1,9 @@
 """Named: opens a serial port whose path another user has named, with no more than that user's rights.
 
-A file that belongs to somebody else may name any path: root's own devices, a device that does something when it is
-opened, a file system that never answers. So root looks the path up as that user, accepts only a terminal that this user
-may read and write, and then opens exactly that device. It opens it as root, because a service that holds the port
-exclusively must not keep root's stop out.
+A file that belongs to another user may name any path, for example one of root's own devices, a device that does
+something when it is opened, or a file system that never answers. So root looks up the path with that user's rights,
+accepts only a terminal that this user may read and write, and then opens exactly this device. The last step is done as
+root again. A service that holds the port exclusively keeps other users out, and it must not keep out root's stop.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ import stat
 
 _PTS = range(136, 144)
 _BY_NUMBER = (4, 166, 188, 204, *_PTS)
-"""Major numbers of terminals for which the system does not name a device's class: UARTs, USB, the Pi's pins, ptys."""
+"""Major numbers of terminals, for devices whose class the system does not name: UARTs, USB ports, the Pi's serial pins,
+and ptys."""
 _NO_BOARD = 5
-"""/dev/tty, /dev/console and /dev/ptmx."""
+"""The major number of /dev/tty, /dev/console and /dev/ptmx, which are never a board."""
 PASSWD_FILE, GROUP_FILE = "/etc/passwd", "/etc/group"
 
 
 def open_named(path: str, uid: int, flags: int) -> int:
-    """Open a terminal that the user `uid` may read and write; needs root. Raises OSError."""
+    """Open a terminal that the user `uid` may read and write, and return its descriptor. Only root can call this.
+    Raises OSError."""
     gid, groups = _groups(uid)
     before = os.getegid(), os.getgroups()
     os.setgroups(groups)
@@ -55,14 +57,14 @@ def _is_terminal(device: int) -> bool:
 
 
 def _may(found: os.stat_result, uid: int, groups: set[int]) -> bool:
-    """True if a user may read and write a device, according to its mode."""
+    """True if the mode of a device lets this user read and write it."""
     shift = 6 if found.st_uid == uid else 3 if found.st_gid in groups else 0
     return found.st_mode >> shift & 0o6 == 0o6
 
 
 def _groups(uid: int) -> tuple[int, list[int]]:
-    """The user's own group, and the others. They are read only from files, because a directory service that does not
-    answer must not hold up a stop."""
+    """Return the user's main group, and the ids of the user's other groups. Only files are read for this, because a
+    directory service that does not answer must not hold up a stop."""
     name, gid = "", 65534
     for fields in _rows(PASSWD_FILE, 4):
         if fields[2] == str(uid):

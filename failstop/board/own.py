@@ -1,10 +1,13 @@
-"""Own: your own board, described by a folder with a module wire.py that has a Wire named WIRE.
+"""Own: your own board. It is a folder with a module wire.py, which has the board's description: a Wire named WIRE.
 
-One line of the module says for which vocabulary it was written; failstop reads that line before it runs the module. The
-modules of the folder import each other with a dot (`from . import codec`), and failstop's modules as any program does.
-They may run as root, in every process of the service, so anyone who may write them may drive. Therefore the folder,
-everything in it, and every folder and link on the way to it must belong to root or to the service's user, and nobody
-else may write there. Only source is imported, and it is read through the same descriptor that was checked.
+One line of wire.py says for which vocabulary it was written, and failstop reads this line before it runs the module.
+The modules of the folder import each other with a dot (`from . import codec`). They import failstop's modules as any
+other program does.
+
+The modules may run as root, in every process of the service. So anyone who may write them may drive the robot.
+Therefore the folder, everything in it, and every folder and link on the way to it must belong to root or to the
+service's user, and nobody else may have the right to write there. Only source is imported, and it is read through the
+same descriptor that was checked.
 
 A description is a program, so it may hang or exit. Before it runs in this process, a child process loads it and calls
 its functions (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
@@ -12,7 +15,7 @@ its functions (sound.py). If the child dies, or has not finished within LIMIT_S,
 
 from __future__ import annotations
 
-# The C module under `signal`, which costs an import of enum.
+# The C module behind `signal`, because importing `signal` also imports enum.
 import _signal
 import os
 import select
@@ -32,23 +35,25 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 OWN_PACKAGE = "failstop_own_board"
-"""The package name of its modules in Python."""
+"""The package name under which Python imports the folder's modules."""
 SAYS = b"VOCABULARY = "
-"""How the line in wire.py begins that says for which vocabulary it was written."""
+"""The beginning of the line in wire.py that says for which vocabulary it was written."""
 LIMIT_S = 5.0
-"""How long the modules may take to load and to answer, s. failstop's own take 20 ms."""
+"""How long the modules of your own board may take to load and to answer, in s. The modules of failstop's boards take 20
+ms."""
 _MOST_LINKS = 40
 _MOST_FILES = 2000
 _MOST_BYTES = 1 << 20
-"""Size limit of one module."""
+"""The size limit of one module, in bytes."""
 _COMPILED = (".so", ".pyc", ".pyd")
 _SIGKILL = 9
 _SOUND = b"\0"
-"""The child's first byte when it is done. The fault that it has found follows, if there is one."""
+"""The first byte that the child process sends when it has finished. If it has found a fault, the fault follows as
+text."""
 
 
 class OwnBoardError(ValueError):
-    """The folder can't be used; the message names it, and says what to do."""
+    """Raised if the folder can't be used. The message names the folder, and says what to do."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"board.kind: {what}")
@@ -56,8 +61,8 @@ class OwnBoardError(ValueError):
 
 
 def wire(folder: str, *, tried: bool = False) -> Wire:
-    """The description of that board. `tried`: the process that started this one has already had a child process load
-    and test it. Raises OwnBoardError."""
+    """Return the description of the board in that folder. Set `tried` if the process that started this one has already
+    had a child process load and test it. Raises OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
     _check(folder)
@@ -69,7 +74,7 @@ def wire(folder: str, *, tried: bool = False) -> Wire:
 
 
 def load(folder: str, name: str, value: str, *, tried: bool = False) -> Any:
-    """A value from a module in that folder. `tried`: as for wire(). Raises OwnBoardError."""
+    """Return a value from a module in that folder. `tried` is as for wire(). Raises OwnBoardError."""
     _check(folder)
     known = _modules(folder)
     if not tried and name not in known.tried:
@@ -93,7 +98,7 @@ def _load(folder: str, name: str, value: str) -> Any:
 
 
 def _check_vocabulary(folder: str, offered: str) -> None:
-    """Refuse a description in another vocabulary. Raises OwnBoardError."""
+    """Refuse a description that was written for another vocabulary. Raises OwnBoardError."""
     path = os.path.join(folder, "wire.py")
     lines = _source(path).splitlines()
     said = [
@@ -109,11 +114,11 @@ def _check_vocabulary(folder: str, offered: str) -> None:
         raise OwnBoardError(f'{path} {written}, and {offers}: docs/porting.md, "Versions"')
 
 
-# In a child process first.
+# First in a child process.
 
 
 def _try(folder: str, name: str, value: str) -> None:
-    """Load the description and test it in a child process, which may hang or die. Raises OwnBoardError."""
+    """Load the description and test it in a child process, because it may hang or die. Raises OwnBoardError."""
     path = os.path.join(folder, f"{name}.py")
     try:
         reader, writer = os.pipe()
@@ -137,7 +142,8 @@ def _try(folder: str, name: str, value: str) -> None:
 
 
 def _judge(folder: str, name: str, value: str, writer: int) -> None:
-    """What the child process does. Its output is dropped, and none of its parent's exit handlers run."""
+    """Load and test the description, as the child process. Its output is dropped, and none of its parent's exit
+    handlers run."""
     try:
         os.setsid()
         _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)
@@ -169,7 +175,7 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """What the child has reported; empty if it ended without a report; None if the time is over."""
+    """Return what the child has reported. Empty if it ended without a report. None if it has not reported in time."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -177,7 +183,7 @@ def _heard(reader: int, until_s: float) -> bytes | None:
 
 
 def _ended(child: int) -> str:
-    """Kill and reap the child and everything it has started; returns how it ended, in words."""
+    """Kill the child and everything that it has started, and wait for its end. Returns how it ended, in words."""
     try:
         os.killpg(child, _SIGKILL)
     except OSError:
@@ -197,17 +203,17 @@ def _kill(child: int) -> None:
         return
 
 
-# Only from source, through the descriptor that was checked.
+# Modules are loaded only from source, through the descriptor that was checked.
 
 
 class _Modules:
-    """Finds and loads the modules of one folder. No other finder is asked for them, so that no compiled copy next to a
-    source, no extension and no subfolder is ever imported."""
+    """Finds and loads the modules of one folder. Python asks no other finder for them. So it never imports a compiled
+    copy next to a source, an extension or a subfolder."""
 
     def __init__(self) -> None:
         self.folder = ""
         self.tried: set[str] = set()
-        """Modules that a child process has loaded."""
+        """The modules that a child process has already loaded."""
 
     def find_spec(self, name: str, _path: object = None, _target: object = None) -> ModuleSpec | None:
         package, _, module = name.partition(".")
@@ -232,7 +238,7 @@ _FINDER = _Modules()
 
 
 def _modules(folder: str) -> _Modules:
-    """The finder for the folder's modules. A process has only one such board."""
+    """Return the finder for the modules of this folder. A process has only one such folder."""
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
     if _FINDER.folder != folder or OWN_PACKAGE not in sys.modules:
@@ -245,7 +251,7 @@ def _modules(folder: str) -> _Modules:
 
 
 def _source(path: str) -> bytes:
-    """The bytes of a file that nobody else may write. Raises OwnBoardError."""
+    """Return the bytes of a file that no other user may write. Raises OwnBoardError."""
     found, info = _open(path)
     try:
         if not stat.S_ISREG(info.st_mode):
@@ -268,9 +274,9 @@ def _source(path: str) -> bytes:
 
 
 def _open(path: str) -> tuple[int, os.stat_result]:
-    """A descriptor and the status of the file or folder at a full path. Each folder and link on the way is opened
-    without following links, and checked on its own descriptor, so that nobody can change it in between. Raises
-    OwnBoardError."""
+    """Return a descriptor and the status of the file or folder at a full path. Each folder and link on the way is
+    opened without following links, and checked through its own descriptor. So nobody can exchange it between the check
+    and the use. Raises OwnBoardError."""
     here, at, links = os.open("/", os.O_PATH | os.O_CLOEXEC), "/", 0
     left = path.split("/")[::-1]
     info = os.fstat(here)
@@ -304,7 +310,7 @@ def _open(path: str) -> tuple[int, os.stat_result]:
 
 
 def _check(folder: str) -> None:
-    """Refuse anything that another user may change: everything in the folder, and every place on the way to it. Raises
+    """Refuse the folder if another user may change it, anything in it, or any place on the way to it. Raises
     OwnBoardError."""
     fd, info = _open(folder)
     try:
@@ -330,7 +336,7 @@ def _check(folder: str) -> None:
 
 
 def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
-    """Everything in a folder and below, with its path."""
+    """Yield everything in a folder and in its subfolders: (path, status)."""
     listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=fd)
     try:
         for name in sorted(os.listdir(listed)):
@@ -348,9 +354,9 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
-    """Refuse this file or folder if another user may change it. A folder that anyone may write, such as /tmp, may be on
-    the way if its sticky bit is set, because then only the owner of an entry can remove or rename it. Raises
-    OwnBoardError."""
+    """Refuse this file or folder if another user may change it. There is one exception for folders on the way that
+    anyone may write, such as /tmp. They are allowed if their sticky bit is set, because then only the owner of an entry
+    can remove or rename it. Raises OwnBoardError."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
     folder = stat.S_ISDIR(found.st_mode)

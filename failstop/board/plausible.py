@@ -1,8 +1,9 @@
 """Plausible: decides which values in a board's report are possible on a robot. Pure.
 
-A board may report anything: its battery is not connected, its memory is garbled, or the reader of your own board has a
-bug. An impossible value is never passed on, clamped or taken for zero: it counts as not reported and becomes HEARD_ODD,
-which the service logs once. So all code after this module can rely on finite numbers within these limits.
+A board may report impossible values, for example because its battery is not connected, its memory is garbled, or the
+reader of your own board has a bug. An impossible value is never passed on, clamped or replaced by zero. Instead it
+counts as not reported and becomes HEARD_ODD, which the service logs once. So all later code can rely on finite numbers
+within the limits below.
 """
 
 from __future__ import annotations
@@ -18,25 +19,26 @@ if TYPE_CHECKING:
     from failstop.board.interface import Said
 
 LEAST_V, MOST_V = 1.0, 1000.0
-"""Limits for a battery. A lower voltage drives no motor: a board that is powered by USB alone measures a few hundredths
-of a volt, so it reports no battery, not an empty one."""
+"""The limits for a battery's voltage. A voltage below LEAST_V drives no motor. For example, a board that is powered
+only by USB measures a few hundredths of a volt. It then reports that there is no battery, instead of an empty one."""
 MOST_G, MOST_DPS = 1000.0, 100_000.0
-"""Limits for an IMU: about 30 times what such sensors measure."""
+"""The limits for an IMU's acceleration and turn rate. They are about 30 times what such sensors measure."""
 MOST_COUNT = 1e15
-"""The limit for a wheel's speed or position, in any unit. Below it a float can still tell neighbouring values apart."""
+"""The limit for a wheel's speed or position, in any unit. A float below it can still be told from the next whole
+number."""
 MOST_REPORTED_WHEELS = 16
 MOST_HEALTH_ROWS = 16
 LONGEST_ODD_TEXT = 60
 """How many characters of an impossible value are shown."""
 MOST_ODD_VALUES = 8
-"""If several values are impossible, how many of them are shown."""
+"""How many impossible values are shown, if there are several."""
 IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
-"""The errors raised for a value that is not a number, too large, or missing."""
+"""The errors that are raised for a value that is not a number, too large, or missing."""
 
 
 def finite(value: object, most: float) -> float:
-    """The value as a float. Raises ValueError unless it is a number from -most to most; OverflowError for an integer
-    that no float can hold."""
+    """Return the value as a float. Raises ValueError unless it is a number from -most to most. Raises OverflowError for
+    an integer that no float can hold."""
     if isinstance(value, bool) or not hasattr(value, "__float__"):
         raise ValueError("not a number")
     number = float(value)
@@ -46,7 +48,7 @@ def finite(value: object, most: float) -> float:
 
 
 def finite_numbers(values: Iterable[object], most: float, least: int, count: int) -> tuple[float, ...]:
-    """From `least` to `count` values as finite floats. Raises one of IMPOSSIBLE."""
+    """Return at least `least` and at most `count` values as finite floats. Raises one of IMPOSSIBLE."""
     found = []
     for value in values:
         found.append(finite(value, most))
@@ -58,7 +60,7 @@ def finite_numbers(values: Iterable[object], most: float, least: int, count: int
 
 
 def whole_number(value: object, least: int, most: int) -> int:
-    """The value as an integer. Raises one of IMPOSSIBLE."""
+    """Return the value as an integer. Raises one of IMPOSSIBLE."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise ValueError("not an integer")
     number: int = value.__index__()
@@ -68,7 +70,7 @@ def whole_number(value: object, least: int, most: int) -> int:
 
 
 def battery_said(volts: object) -> list[Said]:
-    """HEARD_BATTERY in mV; 0 and HEARD_ODD for a voltage that no battery has."""
+    """Return HEARD_BATTERY with the voltage in mV. For a voltage that no battery has, return 0 mV and HEARD_ODD."""
     try:
         known = finite(volts, MOST_V)
         if known >= LEAST_V:
@@ -80,7 +82,8 @@ def battery_said(volts: object) -> list[Said]:
 
 
 def imu_said(sample: Iterable[object]) -> list[Said]:
-    """HEARD_IMU with acceleration x y z in g and turn rate x y z in degrees per second, or HEARD_ODD."""
+    """Return HEARD_IMU for a sample of acceleration x y z in g and turn rate x y z in degrees per second. If a value is
+    impossible, return HEARD_ODD."""
     values = tuple(sample)
     try:
         found = finite_numbers(values[:3], MOST_G, 3, 3) + finite_numbers(values[3:], MOST_DPS, 3, 3)
@@ -90,12 +93,12 @@ def imu_said(sample: Iterable[object]) -> list[Said]:
 
 
 def odd(what: str, value: object) -> list[Said]:
-    """HEARD_ODD, with the name of the impossible value, and the value as text for people."""
+    """Return HEARD_ODD with the name of the impossible value, and the value as text for people."""
     return [(HEARD_ODD, (what, odd_text(value)))]
 
 
 def odd_text(value: object) -> str:
-    """Any value in one printable line of at most LONGEST_ODD_TEXT characters. Never raises."""
+    """Return any value as one printable line of at most LONGEST_ODD_TEXT characters. Never raises."""
     try:
         text = ", ".join(map(odd_text, value[:MOST_ODD_VALUES])) if isinstance(value, (list, tuple)) else repr(value)
     except Exception:  # the repr of an unknown object, or an integer with more digits than Python prints

@@ -1,14 +1,15 @@
-"""Opening the board's port: exclusive or not, raw, at the board's speed and with its modem lines in their safe state.
+"""Opens the board's port: exclusively or not, raw, at the board's baud rate, and with the modem lines that it needs.
 
-This does not use pyserial, because the port is opened in the supervisor's first 150 ms and in the stop tool. Measured
-(Python 3.11, x86-64): `import serial` takes 1.9 ms and 8 modules, this file 0.5 ms and 3; its Serial opens five
-descriptors (two pipes besides the port, to cancel blocking calls), this file one. Its `exclusive` is an flock, which
-only keeps out programs that ask for it. Listing ports, where that cost does not matter, is left to doctor.
+pyserial is not used, because the port is opened in the supervisor's first 150 ms and in the stop tool. Measured with
+Python 3.11 on x86-64: `import serial` takes 1.9 ms and loads 8 modules, and this file takes 0.5 ms and loads 3.
+pyserial's Serial opens five descriptors, because it needs two pipes besides the port to cancel blocking calls. This
+file opens one. pyserial's `exclusive` is an flock, which only keeps out programs that ask for it. Listing ports is left
+to doctor, where that cost does not matter.
 """
 
 from __future__ import annotations
 
-# The C module under `signal`, which costs an import of enum.
+# The C module behind `signal`, because importing `signal` also imports enum.
 import _signal
 import contextlib
 import errno
@@ -31,7 +32,7 @@ _ZERO = _INT.pack(0)
 
 READ_BYTES = 4096
 CLOSE_S = 0.02
-"""How long a close may wait for bytes to leave the kernel, s."""
+"""How long a close may wait for bytes to leave the kernel, in s."""
 
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _OTHER_SPEED = termios.B500000
@@ -49,10 +50,11 @@ _FILE_KINDS = {
 
 
 class PortError(Exception):
-    """The port cannot be used. The message is one line, names the path and says what to do.
+    """Raised if the port can't be used. The message is one line that names the path and says what to do.
 
-    `kind` is "absent" (no such device), "permission", "not-a-tty" (something else is at that path), "busy" (another
-    process holds it exclusively) or "io" (the device or the system failed); `errno` is the system's number, or 0.
+    `kind` is "absent" (there is no such device), "permission", "not-a-tty" (something else is at that path), "busy"
+    (another process holds it exclusively) or "io" (the device or the system failed). `errno` is the system's error
+    number, or 0.
     """
 
     def __init__(self, kind: Kind, message: str, number: int = 0) -> None:
@@ -62,14 +64,15 @@ class PortError(Exception):
 
 
 def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> int:
-    """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, as `line` says.
+    """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, and with the rate and
+    modem lines of `line`. Raises PortError.
 
-    A read with nothing to read raises BlockingIOError; a read of no bytes is a hang-up. With `exclusive`, further
+    A read raises BlockingIOError if nothing has come, and returns no bytes after a hang-up. With `exclusive`, other
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
-    called. Unless a service has the port, the driver is made to tell the board's USB chip the speed, whatever it thinks
-    that the chip knows: after a bus reset (a sleep of the machine, for one) the chip has forgotten it. Nothing but a
-    character device is ever opened, and nothing is written. `named_by`: the user whose file names this path; root opens
-    it with no more than that user's rights. Raises PortError.
+    called. Unless a service has the port, the driver is made to send the baud rate to the board's USB chip again, even
+    if the driver thinks that the chip has it. The chip forgets it at a bus reset, for example when the computer sleeps.
+    Only a character device is ever opened, and nothing is written. `named_by` is the user whose file names this path:
+    root opens it with no more than that user's rights.
     """
     descriptor = -1
     try:
@@ -97,9 +100,9 @@ def _opened(path: str, named_by: int) -> int:
 
 
 def open_if_there(path: str, line: Port) -> int:
-    """Open a port that may be gone, exclusively; returns -1 if that fails. Never raises, and never looks up users."""
-    # A device exists before udev has given it to its group. Explaining a refused open looks up users, which may take
-    # long, and here nobody reads the explanation.
+    """Open a port that may be gone, exclusively. Returns -1 if that fails. Never raises, and never looks up users."""
+    # A device exists before udev has given it to its group. Then the open would be refused. To explain a refusal,
+    # open_port() looks up users, which may take long, and here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
         return -1
     try:
@@ -109,7 +112,8 @@ def open_if_there(path: str, line: Port) -> int:
 
 
 def waiting_bytes(descriptor: int) -> bytes | None:
-    """Bytes that the board has sent, up to READ_BYTES; empty if none wait, None if the device is gone."""
+    """Return bytes that the board has sent, up to READ_BYTES. Empty if none are waiting, and None if the device is
+    gone."""
     try:
         return os.read(descriptor, READ_BYTES) or None
     except BlockingIOError:
@@ -119,13 +123,14 @@ def waiting_bytes(descriptor: int) -> bytes | None:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """Bytes written to the port that the kernel has not sent yet (TIOCOUTQ), in the driver's unit: bytes, or 1280 for
-    each write under way (cdc_acm); always 0 on a pty. Raises OSError."""
+    """Return how much was written to the port that the kernel has not sent yet (TIOCOUTQ). The unit depends on the
+    driver: cdc_acm counts 1280 for each write under way, a pty always has 0, and other drivers count bytes. Raises
+    OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port, so that it reads the board's bytes."""
+    """True while a service has the port. The service then reads the board's bytes, so no other program should."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -133,8 +138,8 @@ def is_read(descriptor: int) -> bool:
 
 
 def has_lines(descriptor: int) -> bool:
-    """True if the port has modem lines. Every open raises them (the kernel does, before anyone can say no), which may
-    reset the board. A pty has none."""
+    """True if the port has modem lines. The kernel raises them at every open, before any program can prevent it, and
+    this may reset the board. A pty has no modem lines."""
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, _ZERO)
     except OSError:
@@ -143,7 +148,7 @@ def has_lines(descriptor: int) -> bool:
 
 
 def set_speed(descriptor: int, line: Port) -> None:
-    """Switch to another board's speed, leaving the modem lines unchanged, because a change may reset the board. Raises
+    """Switch to another board's baud rate. The modem lines stay unchanged, because a change may reset the board. Raises
     OSError."""
     try:
         _set_raw(descriptor, termios.tcgetattr(descriptor), getattr(termios, f"B{line.baud}"))
@@ -152,18 +157,19 @@ def set_speed(descriptor: int, line: Port) -> None:
 
 
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
-    """Close the port's descriptor; never raises. In the main thread it takes `within_s` at most, even if the port does
-    not drain.
+    """Close the port's descriptor. Never raises. In the main thread this takes `within_s` at most, even if the port
+    sends nothing.
 
-    The last close of a terminal waits for its unsent bytes (30 s on cdc_acm), and every open waits for that close. A
-    signal ends the wait; but a process that just exits waits it out, because an exiting process takes no more signals.
+    The last close of a terminal waits until its bytes are sent (up to 30 s on cdc_acm), and every open waits for that
+    close. A signal ends this wait, so a timer sends one. A process that just exits would wait for the whole time,
+    because a process that is exiting gets no more signals.
     """
     try:
         before = _signal.signal(_signal.SIGALRM, _interrupt)
     except ValueError:  # not the main thread
         _close(descriptor)
         return
-    # repeated, because the first may come before the close has begun to wait
+    # Repeated, because the first signal may come before the close has begun to wait.
     timer = _signal.setitimer(_signal.ITIMER_REAL, within_s, within_s)
     try:
         _close(descriptor)
@@ -173,7 +179,7 @@ def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
 
 
 def _interrupt(_number: int, _frame: object) -> None:
-    """Do nothing: the signal only has to interrupt the call."""
+    """Do nothing. The signal only has to interrupt the call."""
 
 
 def _close(descriptor: int) -> None:
@@ -182,7 +188,7 @@ def _close(descriptor: int) -> None:
 
 
 def release_exclusive(descriptor: int) -> None:
-    """Let other processes open the port again (TIOCNXCL, and the lock). Raises OSError."""
+    """Let other processes open the port again: undo TIOCEXCL, and release the lock. Raises OSError."""
     fcntl.ioctl(descriptor, termios.TIOCNXCL)
     fcntl.flock(descriptor, fcntl.LOCK_UN)
 
@@ -190,28 +196,28 @@ def release_exclusive(descriptor: int) -> None:
 def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
     # The file that stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
-    # TIOCEXCL does not keep root out, but another service of root's asks for this lock too. All duplicates share it. It
-    # comes first, because TIOCEXCL would outlive a refusal: it lasts until the last descriptor of the terminal is
-    # closed.
+    # TIOCEXCL does not keep root out. But another service that runs as root asks for this lock too. All duplicates of
+    # the descriptor share the lock. It is taken before TIOCEXCL is set, because TIOCEXCL would outlast a refusal: it
+    # stays until the last descriptor of the terminal is closed.
     alone = _lock(descriptor)
     if exclusive and not alone:
         raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY)
     if exclusive:
-        # Before all other changes, so that nobody else gets in while the port is being set up.
+        # Before all other changes, so that nobody else gets in while the port is set up.
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
     elif alone:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
     if alone:
-        # cdc_acm sends the line coding only when it differs from the one it sent last.
+        # cdc_acm sends the line coding only if it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
     speed = getattr(termios, f"B{line.baud}")
     _set_raw(descriptor, before, speed)
     _check_raw(path, descriptor, line.baud, speed)
-    # A port that was stopped (TCOOFF), or that a ^S stopped while it was still a terminal, would hold back every byte.
-    # This costs 0.5 us on a pty, and waits for nothing.
+    # A port that was stopped would hold back every byte. TCOOFF stops a port, and so does a ^S that came while it was
+    # still a terminal. This call costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
-    # Opening raised both lines. Set the ones that must be on first, because DTR off while RTS is on resets some boards'
-    # processors; then clear the others at once, for the same reason.
+    # Opening has raised both lines. Set the lines that must be on first, because DTR off while RTS is on resets some
+    # boards' processors. Then clear the others in one call, for the same reason.
     lines = ((termios.TIOCM_DTR, line.dtr), (termios.TIOCM_RTS, line.rts))
     for request, wanted in ((termios.TIOCMBIS, True), (termios.TIOCMBIC, False)):
         if bits := sum(bit for bit, on in lines if on == wanted):
@@ -219,7 +225,8 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """False while a service has the port, because then the speed must not be changed under its frames."""
+    """Try to lock the port. Returns False while a service has it. Then the speed must not be changed, because the
+    service's frames would be garbled."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -237,7 +244,8 @@ def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
 
 
 def _check_raw(path: str, descriptor: int, baud: int, speed: int) -> None:
-    """Check the result, because tcsetattr succeeds if any one of the changes could be made. Raises PortError."""
+    """Check that all changes were made, because tcsetattr succeeds if it could make any one of them. Raises
+    PortError."""
     after = termios.tcgetattr(descriptor)
     took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]
     if not took or after[6][termios.VMIN] != 1:

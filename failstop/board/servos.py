@@ -1,7 +1,7 @@
 """Servos: the commands to an arm's servos, and the time limits that every board keeps.
 
-A servo completes a timed move by itself, whatever has died since. So a move lasts LONGEST_MOVE_MS at most, and a long
-way is a stream of such moves.
+A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
+and a long way is a stream of short moves.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ LONGEST_MOVE_MS = 60
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 
 HELD_NS = 2_000_000
-"""The longest time that a stop may have to wait for the servos' bus."""
+"""The longest time that a stop may have to wait for the servos' bus, in ns."""
 MOVE_NS = 870_000
-"""The longest time that the move of one servo takes on any board's bus: ten bytes at 115200 baud."""
+"""The longest time that the move of one servo takes on any board's bus, in ns. It is ten bytes at 115200 baud."""
 SILENT_NS = 5_000_000
-"""After this time every board has given up on a servo that does not answer. An answer takes 1.2 ms."""
+"""The time after which every board has given up on a servo that does not answer, in ns. A normal answer takes 1.2
+ms."""
 MOST_MOVES = HELD_NS // MOVE_NS
 
 
 class ServoAnswer(Sample, Data):
-    """An arm's servo, the question (one of READS) and the answer: position in pulses, supply in mV, temperature in
-    degrees Celsius, torque 1 for on. A 0 is no reading, except for the torque, because some boards answer 0 when a
-    servo did not answer."""
+    """A servo's answer: the servo's id, the question (one of READS), and the value. A position is in pulses, a supply
+    in mV, and a temperature in degrees Celsius. A torque is 1 if it is on. For all questions except the torque, a value
+    of 0 means that nothing was read, because some boards answer 0 if the servo did not answer."""
 
     servo: int
     what: int

@@ -1,8 +1,8 @@
 """Sound: finds faults in the description of a board, by calling its functions before it may drive anything.
 
-A description is a program. Its check may let every frame pass, its stop may have no bytes, its scale may be NaN, and
-such faults would show only while wheels turn. These tests are pure if the description is; own.py runs them in a process
-that may hang or die.
+A description is a program, and its faults would otherwise show only while wheels turn. For example, its check may let
+every frame pass, its stop may have no bytes, or its scale may be NaN. The tests change nothing, unless a function of
+the description does. own.py runs them in a child process, which may hang or die.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from failstop.board.wire import Motion
 
 _SIMPLE_TYPES = ("int", "bool", "str", "float", "bytes")
-"""The names of simple types in annotations. Where a float is expected, an int is accepted."""
+"""The names of simple types in annotations. Where a float is expected, an int is accepted too."""
 BAUD_RATES = frozenset(int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()) - {0}
 _S = 1_000_000_000
 _WRITERS = 3
-"""The number of writers, each of which has a row of repeats: port owner, stopper and supervisor."""
+"""How many writers of stops there are: port owner, stopper and supervisor. Each writer has a row of repeats."""
 MOST_QUESTIONS = 4
-"""The number of words in shared memory, because each ping has its own (layout.PINGS)."""
+"""The most questions that a board may have. Each one needs a word in shared memory (layout.PINGS)."""
 _MOST_BYTES = 1024
-"""The longest frame that is allowed. The board's stop is a frame."""
+"""The longest frame that is allowed, in bytes. This also limits the stop."""
 _MOST_FRAMES = 16
 _MOST_REPEATS = 32
 _DIAMETERS_M = (0.03, 0.08, 0.3)
@@ -41,11 +41,11 @@ _NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step
 
 
 class _Wrong(Exception):
-    """The first fault that was found; its message says in words what is wrong."""
+    """Raised for the first fault that is found. The message says what is wrong."""
 
 
 def wrong(wire: Wire) -> str:
-    """The first fault in a description; empty if none was found."""
+    """Return the first fault in a description. Empty if none was found."""
     try:
         for question in (_types, _ranges, _counts, _watchdog, _proofs, _rest, _motion, _refusals, _frames, _reader):
             question(wire)
@@ -65,7 +65,7 @@ def _shown(value: object) -> str:
 
 
 def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
-    """Call a function of the description, which must not raise."""
+    """Call a function of the description. A function that raises is a fault."""
     try:
         return function(*values)
     except (Exception, SystemExit) as error:
@@ -73,7 +73,7 @@ def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
         raise _Wrong(f"{name}({given}) raises {type(error).__name__}: {error}") from error
 
 
-# Each field exists, and has its type.
+# Each field exists, and has the right type.
 
 
 def _types(wire: Wire) -> None:
@@ -92,7 +92,7 @@ def _fields(value: Data, name: str) -> None:
 
 
 def _type(value: object, annotation: str, name: str) -> None:
-    """Check a value against an annotation as wire.py writes it."""
+    """Check that a value fits an annotation of wire.py."""
     annotation, optional, _ = annotation.partition(" | None")
     if optional and value is None:
         return
@@ -207,7 +207,7 @@ def _proofs(wire: Wire) -> None:
     _hold(words.ECHOED not in wire.proofs or wire.echo_ns > 0, "WIRE.proofs has ECHOED, and echo_ns is 0")
 
 
-# Its motion and its stop have their own form.
+# Motion and the stop, each in its own form.
 
 
 def _rest(wire: Wire) -> None:
@@ -252,7 +252,8 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """Check that the description refuses bytes that must not become a frame, or pass for one."""
+    """Check that the description refuses speeds that must not become a frame, and bytes that must not pass as
+    motion."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -276,7 +277,7 @@ def _refusals(wire: Wire) -> None:
 
 
 def _frames(wire: Wire) -> None:
-    """Check that only motion frames move anything."""
+    """Check that no frame moves anything unless it is a motion frame."""
     asks = [(f"WIRE.questions[{at}].ask", question.ask) for at, question in enumerate(wire.questions)]
     for name, frame in asks + [(f"WIRE.port.opening[{at}]", frame) for at, frame in enumerate(wire.port.opening)]:
         told = _speeds(wire.motion, frame)
@@ -305,7 +306,7 @@ def _speeds(motion: Motion, frame: bytes) -> tuple[float, ...] | None:
     return tuple(told)
 
 
-# Its reader.
+# The reader.
 
 
 def _reader(wire: Wire) -> None:

@@ -1,11 +1,11 @@
-"""StopPort: writes stops to a descriptor of the port. Every process that can stop the robot uses it, so all of them
-follow the same policy.
+"""StopPort: writes stops to the port. Every process that can stop the robot uses this class, so all processes write a
+stop in the same way.
 
-    the kernel                then
-    takes all of it           it is written
-    takes none now (EAGAIN)   tried again at once: it refuses for lack of room, but also during another process's write
-    takes a part, or none     not written; the rest goes first with the next burst, or with flush()
-    knows no such device      not written; the port is gone
+    the kernel                then the stop
+    takes all of it           is written
+    takes none now (EAGAIN)   is tried again at once: the kernel lacks room, or another process is writing
+    takes a part, or none     is not written; the rest goes first with the next burst, or with flush()
+    knows no such device      is not written; the port is gone
 """
 
 from __future__ import annotations
@@ -22,47 +22,52 @@ if TYPE_CHECKING:
 
 TRIES = 3
 DRAIN_S = 0.1
-"""The burst takes 4 ms on the wire. If a port still holds bytes after this time, s, it does not drain."""
+"""How long drain() waits for the port to send all its bytes, in s. A burst takes only 4 ms on the line. If a port still
+holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""An early stop that is whole counts as on the line for this long, because its loop is about to write the same."""
+"""How long an early stop counts as being on the line if it was written whole, in ns. The loop of the same process is
+about to write the same stop, and need not do so during this time."""
 
 
 class StopPort:
-    """A descriptor of the port for stops; -1: no port. `lost` becomes true when a write finds that the device is gone;
-    `errno` is the reason."""
+    """An open port for stops. `fd` is its descriptor, or -1 for no port. `lost` becomes true when a write finds that
+    the device is gone, and `errno` is then the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: the ids of the robot's arm. The frames that stop them end the same write, so they follow a whole
-        burst or are not written at all."""
+        """`servos` are the ids of the robot's arm. The frames that stop the arm end the same write as the burst. So
+        they follow a whole burst, or are not written at all."""
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
-        """When the line will have been silent for as long as the board needs, as far as this process knows; 0: the
-        board needs no silence."""
+        """When the line will have been silent for as long as the board needs, in ns, as far as this process knows. 0 if
+        the board needs no silence."""
         self._line_ns = 0
-        """Until this time the last whole stop that was written here is on the line, or the line must be silent after
-        it, so another stop would garble both. 0: no such stop."""
+        """Until this time, in ns, the last whole stop that was written here is still on the line, or the line must be
+        silent after it. Another stop would garble both. 0 if there is no such stop."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
         self.unsent = b""
-        """Bytes of one burst or frame that the kernel has not accepted yet."""
+        """The bytes of one burst or frame that the kernel has not accepted yet."""
         self._stop_begun = False
         """True if `unsent` is the rest of a stop."""
         self._writing = _thread.allocate_lock()
-        """Held by the loop while it checks whether it may write, and writes; and by a thread in early_stop()."""
+        """A lock. The loop holds it while it checks whether it may write, and writes. A thread holds it in
+        early_stop()."""
 
     def early_stop(self) -> None:
-        """Write the burst as far as its first stop frame, from the thread that has learned about a death. It also wakes
-        the loop, which writes the burst."""
+        """Write the beginning of the burst, up to the end of its first stop frame. The thread that has noticed a death
+        calls this, because it is faster than the loop. The thread also wakes the loop, which then writes the whole
+        burst."""
         with self._writing:
             if self.fd >= 0:
                 self._write_early()
 
     def _write_early(self) -> int:
-        """How many bytes the kernel took; ALREADY if a whole stop is already on the line."""
+        """Write the early stop. Returns how many bytes the kernel took, or ALREADY if a whole stop is already on the
+        line."""
         if self._on_line():
             return ALREADY
         taken = self._write(self.board.first_stop)
@@ -71,11 +76,12 @@ class StopPort:
         return taken
 
     def burst(self) -> bool:
-        """Write the stop burst now; True if the kernel has all of it.
+        """Write the stop burst now. Returns True if the kernel has taken all of it.
 
-        The rest of an earlier stop goes first. The rest of any other frame is dropped, because the burst heals any cut,
-        and so is more than one burst, because stops would pile up at a port that takes nothing. If a whole stop is
-        still on the line, nothing is written: on some boards a second one without a gap garbles both.
+        If the rest of an earlier stop is left, it goes first. The rest of any other frame is dropped, because a burst
+        works after any cut. Anything longer than one burst is dropped too, because otherwise stops would pile up at a
+        port that takes nothing. If a whole stop is still on the line, nothing is written, because on some boards a
+        second stop without a gap garbles both.
         """
         begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
@@ -84,14 +90,15 @@ class StopPort:
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def repeat(self, after_ns: tuple[int, ...]) -> None:
-        """Write the burst again after each of these times, and wait meanwhile. For a program without a loop."""
+        """Write the burst again after each of these times, in ns, and wait in between. This is for a program without a
+        loop."""
         begun_ns = time.monotonic_ns()
         for after in after_ns:
             time.sleep(max(0, begun_ns + after - time.monotonic_ns()) / 1e9)
             self.burst()
 
     def flush(self) -> bool:
-        """Continue with bytes that the kernel did not take; True if nothing is left."""
+        """Write more of the bytes that the kernel has not taken yet. Returns True if none are left."""
         with self._writing:
             return not self.unsent or self._put(self.unsent, rest=True)
 
@@ -99,7 +106,8 @@ class StopPort:
         return self._line_ns > 0 and not (self.lost or self.unsent) and time.monotonic_ns() < self._line_ns
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
-        """Write as much as the kernel takes; `rest`: these bytes continue an earlier write."""
+        """Write as much as the kernel takes. Returns True if it took everything. Set `rest` if these bytes continue an
+        earlier write."""
         taken = self._write(data)
         self.unsent = b"" if self.lost else data[taken:]
         if not rest:
@@ -126,7 +134,7 @@ class StopPort:
         return 0
 
     def holds(self) -> bool:
-        """True while the kernel holds bytes that any process has written. A port that can't tell is gone."""
+        """True while the kernel holds bytes that any process has written. If the port can't answer, it is gone."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError as error:
@@ -134,8 +142,8 @@ class StopPort:
             return False
 
     def drain(self, within_s: float = DRAIN_S) -> bool:
-        """Wait until all written bytes have left the kernel, which drops the rest when the port is closed. False if
-        that takes longer than `within_s`, or the port is gone."""
+        """Wait until all written bytes have left the kernel. Call this before the port is closed, because the kernel
+        drops the bytes that are left then. Returns False if it takes longer than `within_s`, or if the port is gone."""
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
             if self.flush() and not self.holds() and not self.lost:
@@ -146,8 +154,8 @@ class StopPort:
         return False
 
     def adopt(self, fd: int) -> None:
-        """Close the old descriptor at once and keep another; -1 for none. A descriptor that is kept open over a USB
-        drop renumbers the device."""
+        """Close the old descriptor at once and use another one, or none if `fd` is -1. If a descriptor stayed open
+        after a USB device dropped out, the device would come back with another number."""
         with self._writing:
             old, self.fd = self.fd, fd
             self.lost = fd < 0

@@ -1,4 +1,4 @@
-"""Tap: asks and reads the board at an open port, for programs other than the service."""
+"""Tap: asks and reads the board at an open port, for programs that are not part of the service."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 class Tap:
-    """Reads and decodes the board's bytes, with the time when they were read, and writes pings. The descriptor is
-    non-blocking and stays the caller's."""
+    """Writes pings to the board, and reads and decodes its bytes, with the time of each read. The descriptor must be
+    non-blocking. The caller closes it."""
 
     def __init__(self, fd: int, board: Board) -> None:
         self.fd = fd
@@ -29,18 +29,19 @@ class Tap:
         self._pings = 0
         self._answers = Answers()
         self.reports: set[int] = set()
-        """The kinds of reports that came without a question."""
+        """The kinds of reports that came, other than answers to pings."""
         self.firmware = ""
-        """The board's firmware, if that is not the usual one."""
+        """The name of the board's firmware, if that is not the usual firmware."""
         self.missing: tuple[int, ...] = ()
-        """Servos that answer nothing although others do."""
+        """The servos that do not answer although others do."""
         self.size = 0
         """How many bytes were received."""
         self._flow: set[int] = set()
-        """Pings whose answers came before this object had asked them, so their answers prove nothing."""
+        """Pings that were answered before this object had asked them. Something else makes these answers come, so they
+        prove nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
-        """(time of reading, kind, value) of each new report. Raises OSError when the device is gone."""
+        """Return (time of reading in ns, kind, value) for each new report. Raises OSError if the device is gone."""
         found: list[tuple[int, int, Value]] = []
         while data := waiting_bytes(self.fd):
             now_ns = time.monotonic_ns()
@@ -58,19 +59,20 @@ class Tap:
         return found
 
     def _heard(self, timeout_s: float) -> Iterator[tuple[int, int, Value]]:
-        """(time of reading, kind, value) of everything reported within the time. Raises OSError."""
+        """Yield (time of reading in ns, kind, value) for everything that is reported within this time. Raises
+        OSError."""
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
             yield from self.read()
 
     def listen(self, timeout_s: float) -> None:
-        """Read until the first report, or until the time is over. Raises OSError."""
+        """Read until the first report comes, or until the time is over. Raises OSError."""
         for _ in self._heard(timeout_s):
             return
 
     def ping(self) -> tuple[int, int]:
-        """Ask the board; returns (index of the ping, when it was written). Raises OSError."""
+        """Ask the board. Returns (index of the ping, time of its write in ns). Raises OSError."""
         index = self._pings % len(self._board.pings)
         self._pings += 1
         now_ns = time.monotonic_ns()
@@ -79,18 +81,19 @@ class Tap:
         return index, now_ns
 
     def lost(self) -> None:
-        """Give up all questions so far, for example after the board was reset. Raises OSError."""
+        """Give up all questions that were asked so far, for example because the board was reset. Raises OSError."""
         self.read()
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """When the earliest ping was written that this answer can belong to (board/handled.py); 0 if none was."""
+        """Return when the earliest ping was written to which this answer can belong, in ns (see handled.py). 0 if it
+        belongs to none."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board; returns after how long it answered, which proves that it has handled everything written
-        before. None: it did not answer, or has no question. An answer to an earlier question counts for that one.
-        Raises OSError."""
+        """Ask the board, and return after how many ms it answered. The answer proves that the board has handled
+        everything that was written before the question. If an answer belongs to an earlier question, it does not count.
+        None if no answer comes in time, or if the board has no questions. Raises OSError."""
         if not self._board.pings:
             return None
         _, asked_ns = self.ping()
@@ -100,8 +103,8 @@ class Tap:
         return None
 
     def zeros_ms(self, timeout_s: float) -> float | None:
-        """After how long a board without pings reports that it obeys zeros; None if it does not. A board that hears
-        nothing reports zeros too. Raises OSError."""
+        """Return after how many ms a board without pings reports that it obeys zeros. None if it does not. This proves
+        little, because a board that hears nothing reports zeros too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:

@@ -194,7 +194,8 @@ class Replies(Reader):
         if not wheel and len(data) == READS[POSITION][1]:
             self._health[servo] = _health(data[4:])
         due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
-        # While a wheel's answer is missing, no question counts as answered, so nothing is due. Report the health anyway.
+        # While a wheel's answer is missing, no question counts as answered, so nothing is due. Health is reported
+        # anyway.
         if due or missed or self._wrong() != self._last_report:
             self._last_report = self._wrong()
             found.append(Health(self._rows()))
