@@ -158,8 +158,8 @@ def heard_ms(tap: Tap, board: Board) -> float | None:
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
     """Return the result of looking for a board of this kind: (found, text, remedy). `found` is True if the board is on
-    the port, False if not, and None if that can't be known. The text says the same in words, and the remedy says what
-    to do."""
+    the port, and False if it is not. It is None for a board that can't be asked. The text says the same in words, and
+    the remedy says what to do."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

@@ -18,7 +18,7 @@ class ArmFacts(Data):
     """What the settings must know about the servos of an arm on this board."""
 
     highest: int
-    """The highest position of a servo, in pulses; the lowest is 0."""
+    """The highest position of a servo, in pulses. The lowest is 0."""
     turn: int
     """How many pulses make a whole turn."""
     wheels: tuple[int, ...] = ()

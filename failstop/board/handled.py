@@ -1,6 +1,6 @@
 """Handled: finds out up to which write the board has certainly handled the bytes that were written to it. Pure.
 
-An answer does not say which question it belongs to, and an echo (the board's report of the command that it obeys) does
+An answer does not say which question it belongs to. An echo, which is the board's report of its present command, does
 not say which frame it belongs to. But the board handles frames in the order in which they were written, and its answers
 come back in that order too. So failstop matches each answer with the earliest question that it fits. This question is
 never later than the true one, even if frames were lost. So no delay can make an old answer prove a new stop.
@@ -77,10 +77,11 @@ class Echo:
         self._written: tuple[float, ...] | None = None
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
-        """When the motion that the board last reported was written, in ns. 0 if its last report was not motion."""
+        """The time when failstop wrote the motion that the board last reported, in ns. 0 if its last report was not
+        motion."""
         self.faded_ns = 0
-        """If the board's own watchdog has set the command to zero, when the last motion that the board has heard was
-        written, in ns. 0 if the watchdog has not acted since then."""
+        """If the board's own watchdog has ended the last motion, the time when failstop wrote that motion, in ns. Else
+        0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
         """Record that a command was written. Of equal commands in a row only the first one counts."""
@@ -89,8 +90,8 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Return when the stop that this report proves was written, in ns. 0 if the report proves no stop. `others_ns`
-        are the times at which other processes last wrote a stop."""
+        """Return the time when the stop was written that this report proves, in ns. 0 if the report proves no stop.
+        `others_ns` are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -140,12 +141,12 @@ class Handled:
         self._by_echo = board.echo_ns > 0
         self._zeros = False
         self.asked_ns = 0
-        """When the newest question that has certainly been answered was written, in ns."""
+        """The time when failstop wrote the newest question that has certainly been answered, in ns."""
 
     @property
     def faded_ns(self) -> int:
-        """The same as Echo.faded_ns: if the board's own watchdog has ended the last motion, when that motion was
-        written. Else 0."""
+        """If the board's own watchdog has ended the last motion, the time when failstop wrote that motion, in ns. Else
+        0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:

@@ -200,9 +200,9 @@ class Board:
     repeats_ns: tuple[tuple[int, ...], ...]
     """When a stop is written again, in ns after it. Each writer has its own row (PORT_OWNER_ROW, STOPPER_ROW,
     SUPERVISOR_ROW), because writers can't see each other's bytes: with different times, no two stops touch twice in a
-    row. On a board that loses two stops that touch, the repeats go on for 0.4 s, which is longer than an adapter
-    stalls. The writers go on until then even if the supervisor dies. After motion, the port owner repeats the gate's
-    first zero frame at the same times."""
+    row. Some boards lose two stops that touch. For these the repeats go on for 0.4 s, which is longer than an adapter
+    stalls, and the writers go on until then even if the supervisor dies. After motion, the port owner repeats the
+    gate's first zero frame at the same times."""
     stop: bytes
     """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
@@ -215,15 +215,16 @@ class Board:
     """The stop that is written five times per second while the robot is stopped, because a board may restart or wake
     up."""
     pings: tuple[bytes, ...]
-    """At most layout.PINGS questions that move nothing. The board answers them in order with all other frames. All of
-    them differ, so an answer shows which ping it belongs to, and proves that the receiver had not lost its place in the
-    bytes. Empty if the board can't be asked: the link is then `unasked`, and nothing waits for an answer."""
+    """Questions that move nothing, at most layout.PINGS. The board handles them in order with all other frames. All
+    pings differ, and so do their answers, so an answer shows which ping it belongs to. It also proves that the board
+    received this ping whole. Empty if the board can't be asked. The state of its link is then `unasked`, and nothing
+    waits for an answer."""
     ping_ns: int
     """The proofs about this board need a ping at least this often, in ns. 0 means that they need no particular rate."""
     echo_ns: int
-    """How long it takes at most until the board reports that it obeys a command that was written, in ns. 0 if it does
-    not report the command that it obeys. A board that reports it acknowledges a stop by this report, so an answer alone
-    is not enough."""
+    """After a command was written, the board reports within this time that it obeys the command, in ns. 0 if the board
+    makes no such reports. A board that makes them acknowledges a stop by such a report. Its answer to a ping is then
+    not enough."""
     silent_ns: int
     """If the board's reports about its wheels or its IMU pause for this long, in ns, the board has restarted. 0 if the
     board reports nothing."""
@@ -231,8 +232,8 @@ class Board:
     """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
     restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
-    """How long after the last frame the board's own watchdog makes it report zeros, in ns. Such zeros prove no stop. 0
-    if the board has no watchdog, or does not report the command that it obeys."""
+    """How long after the last frame the board's own watchdog makes it report zeros, in ns. These zeros do not prove a
+    stop. 0 if the board makes no such reports, or has no watchdog."""
     acknowledged_by: str
     """BY_ANSWER or BY_ECHO. Empty if the board acknowledges nothing."""
     observed_by: str
@@ -273,9 +274,9 @@ class Board:
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check
-        trusts no encoder: it reads the form, the checksum, the ids and the speeds again, so it refuses a frame with a
-        changed bit wherever the form of the frame reveals one. Never raises on bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check does
+        not trust the encoder. It reads the form, the checksum, the ids and the speeds again, so a frame with a changed
+        bit is refused if its form reveals the change. Never raises on bytes."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -298,6 +299,7 @@ class Board:
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:
-        """Say why these bytes must not be written as a frame that is neither motion nor a stop. Returns "" if they may
-        be written. Frames that move a wheel or a servo never pass."""
+        """Check a frame for something other than wheels and servos, for example the buzzer. Returns why these bytes
+        must not be written as such a frame, or "" if they may be written. A frame that moves a wheel or a servo never
+        passes."""
         raise NotImplementedError

@@ -1,9 +1,9 @@
 """Named: opens a serial port whose path another user has named, with no more than that user's rights.
 
-A file that belongs to another user may name any path, for example one of root's own devices, a device that does
-something when it is opened, or a file system that never answers. So root looks up the path with that user's rights,
-accepts only a terminal that this user may read and write, and then opens exactly this device. The last step is done as
-root again. A service that holds the port exclusively keeps other users out, and it must not keep out root's stop.
+A file that belongs to another user may name any path. It may be one of root's own devices, a device that reacts to
+being opened, or a file system that never answers. So root looks up the path with that user's rights, accepts only a
+terminal that this user may read and write, and then opens exactly this device. The last step is done as root again. A
+service that holds the port exclusively keeps other users out, and it must not keep out root's stop.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import stat
 
 _PTS = range(136, 144)
 _BY_NUMBER = (4, 166, 188, 204, *_PTS)
-"""Major numbers of terminals, for devices whose class the system does not name: UARTs, USB ports, the Pi's serial pins,
-and ptys."""
+"""The major numbers of terminals: UARTs, USB ports, the Pi's serial pins, and ptys. They are used if the system does
+not name the class of a device."""
 _NO_BOARD = 5
 """The major number of /dev/tty, /dev/console and /dev/ptmx, which are never a board."""
 PASSWD_FILE, GROUP_FILE = "/etc/passwd", "/etc/group"

@@ -1,4 +1,4 @@
-"""Opens the board's port: exclusively or not, raw, at the board's baud rate, and with the modem lines that it needs.
+"""Opens the board's serial port: raw, at the board's baud rate, and with the modem lines set as the board needs them.
 
 pyserial is not used, because the port is opened in the supervisor's first 150 ms and in the stop tool. Measured with
 Python 3.11 on x86-64: `import serial` takes 1.9 ms and loads 8 modules, and this file takes 0.5 ms and loads 3.

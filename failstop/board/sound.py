@@ -252,8 +252,7 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """Check that the description refuses speeds that must not become a frame, and bytes that must not pass as
-    motion."""
+    """Check that the description refuses impossible speeds, and bytes that are not a motion frame."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,

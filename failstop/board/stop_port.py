@@ -44,8 +44,9 @@ class StopPort:
         """When the line will have been silent for as long as the board needs, in ns, as far as this process knows. 0 if
         the board needs no silence."""
         self._line_ns = 0
-        """Until this time, in ns, the last whole stop that was written here is still on the line, or the line must be
-        silent after it. Another stop would garble both. 0 if there is no such stop."""
+        """The time, in ns, until which no other stop may be written. Until then the last whole stop of this process is
+        still on the line, or the line must be silent after it, so another stop would garble both. 0 if nothing has to
+        wait."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0

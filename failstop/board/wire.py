@@ -32,7 +32,7 @@ WRITTEN = "written"
 ANSWERED = "answered"
 """The proof that the board has parsed a stop: it has answered a question that was written after the stop."""
 ECHOED = "echoed"
-"""The proof that the board obeys a stop: it reports the command that it obeys, and that command is zero."""
+"""The proof that the board obeys a stop: it reports that its present command is zero."""
 OBSERVED = "observed"
 """The proof that the wheels are at rest: the board's own reports of their speeds or positions show it. On a board that
 can't give this proof, an IMU may show it."""
@@ -42,7 +42,7 @@ BITS_PER_BYTE = 10
 
 
 class Port(Data):
-    """How the board's serial port is set up, and how long the board is deaf while it starts."""
+    """How the board's serial port is set up, and what the board needs after the port was opened."""
 
     baud: int
     dtr: bool
@@ -86,7 +86,7 @@ class TimedStop(Data):
 
 
 class Pace(Data):
-    """How failstop paces the frames that are not stops."""
+    """When frames other than stops may be written."""
 
     idle_ns: int
     """How long the line must be silent before such a frame, in ns."""
@@ -109,7 +109,7 @@ class Watchdog(Data):
     set_ns: int
     """The time that failstop sets, in ns. 0 means that failstop leaves the board's own time unchanged."""
     fed_by: str
-    """A sentence for people that says which frames keep the watchdog from acting, and which don't."""
+    """A sentence for people: which frames keep the watchdog from acting, and which frames don't."""
 
     @property
     def acts_ns(self) -> int:
@@ -225,8 +225,7 @@ class Firmware(Sample, Data):
     """The board's reports show that its firmware is not the usual one."""
 
     name: str
-    """A text for people that says whose firmware it is, how failstop recognised it, and what to check before you use
-    it."""
+    """A text for people: whose firmware it is, how failstop recognised it, and what to check before you use it."""
 
 
 class Question(Data):
@@ -256,9 +255,9 @@ class Commander(Data):
     """Another program, device or person that can command the wheels, so that failstop is not alone."""
 
     who: str
-    """A text for people that says who or what this is, and how it can send commands."""
+    """A text for people: who or what this is, and how it can send commands."""
     remedy: str
-    """A text for people that says how to prevent such commands."""
+    """A text for people: how to prevent such commands."""
     program: str = ""
     """If this is a program on the robot's computer, a part of its command line, so that failstop can find it. Empty for
     anything else, because nothing on the computer shows it."""
@@ -309,8 +308,8 @@ class Wire(Data):
     ping_ns: int
     """The proofs need a question at least this often, in ns. 0 means that they need no particular rate."""
     echo_ns: int
-    """How long it takes at most until the board reports that it obeys a command that was written, in ns. 0 if it does
-    not report the command that it obeys."""
+    """After a command was written, the board reports within this time that it obeys the command, in ns. 0 if the board
+    makes no such reports."""
     other_bauds: tuple[int, ...] = ()
     """Other baud rates with which the board's firmware is often built. `failstop doctor` and `failstop setup` try these
     after the rate of `port`."""
@@ -332,9 +331,9 @@ class Wire(Data):
     """A function (servo of the settings) that makes the frames for the servo of a steered base. None if the board can't
     turn such a servo."""
     aux: Callable[[bytes], str] | None = None
-    """A function (frame) that says why a frame must not be written if it is neither motion nor a stop nor a question.
-    It returns "" if the frame may be written. Such a frame must move nothing, even if it is cut off, and must not keep
-    the board from its next frame for longer than 30 ms. With None, no such frame is ever written."""
+    """A function (frame) that checks an extra frame, for example one for a light. It returns why the frame must not be
+    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off, and may keep the board
+    from its next frame for at most 30 ms. With None, no extra frames are written: only motion, stops and questions."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
     """A function (all settings by their full keys) that returns what a driver program may write to the board at the
     guard port (driver.py). Import that module inside the function, because no process of the service needs it. None if

@@ -46,8 +46,8 @@ _LOST_NS = 100_000_000
 """If the board has not answered a question for counts after this time, it is asked again. failstop itself asks ten
 times a second."""
 _STEADY_NS = 200_000_000
-"""If a driver asks for counts at least this often, each answer has the counts that the board reported to the question
-before."""
+"""If a driver asks for counts at least this often, it gets the counts that the board reported after the driver's
+previous question."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -73,7 +73,7 @@ class ArduinoDriver:
 
     When the driver sends `e`, it is answered at once, and the board is asked for its next counts. The answer has the
     counts that the board reported after the driver's previous `e`. So if a driver asks at a steady rate, its counts are
-    always one of its own periods old. failstop also reads counts for itself, but at other times, so their age would
+    always as old as the time between two of its questions. failstop also reads counts for itself, but their age would
     vary. A driver gets those counts only if it asks too seldom.
     """
 

@@ -186,12 +186,11 @@ class _Motor:
         """The speed in the motor's newest report, in steps of its scale. None if no report came since the speeds of all
         motors were last returned."""
         self.obeys = False
-        """True if the motor has reported that it is enabled, or if it should be enabled because the motors were
-        armed."""
+        """True if the motor has reported that it is enabled, or if failstop has enabled all motors (Motors.arm)."""
         self.off = 0
         """How many of the motor's reports in a row say that it does not obey."""
         self.set = False
-        """True if the motor's registers should have the values that were set when the motors were armed."""
+        """True if the motor's registers should have the values that Motors.arm sets."""
         self.differs = {TIMEOUT: 0, MODE: 0}
         """How many answers in a row differ from the value that was set, for each of these registers."""
         self.wrong = self.heat = self.misses = 0
@@ -228,8 +227,9 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """Handle a motor's answer that it has accepted a value for a register. The watchdog's time is set when all
-        motors are armed. So from then on every motor should obey, even if one of them has missed that frame."""
+        """Handle a motor's answer that it has accepted a value for a register. failstop sets the watchdog's time while
+        it enables all motors (Motors.arm). So from then on every motor should obey, even if one of them has missed its
+        frame."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -253,9 +253,9 @@ class Replies(Reader):
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 
     def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
-        """Return a sign of a restart if a motor has lost a value that was set when the motors were armed. Without the
-        mode, a speed would mean something else to the motor. Without the time, its watchdog would not act. A single
-        answer may be garbled, so more than one must differ."""
+        """Return a sign of a restart if a motor has lost a value that Motors.arm has set. Without the mode, a speed
+        would mean something else to the motor. Without the time, its watchdog would not act. A single answer may be
+        garbled, so more than one must differ."""
         motor = self._motors[number_]
         if not motor.set or index not in motor.differs:
             return []

@@ -6,7 +6,7 @@ for four motors, because `failstop stop` and `failstop setup` may not know how m
 does not exist does nothing.
 
 So one danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
-its own watchdog. It answers no question, so no stop counts as acknowledged, and no motion can be enabled.
+its own watchdog. Because it does not answer, stops do not count as acknowledged, and motion can't be enabled.
 """
 
 from __future__ import annotations

@@ -105,9 +105,9 @@ FILLER = bytes(24)
 no bytes after them into a speed."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
-"""The packet with which failstop stops the wheels. After a cut packet, its first stop is received at once. If it hits
-an answer, a stop is received when the answer is over. If a length was garbled, the servo first waits for up to 255
-bytes."""
+"""The packet with which failstop stops the wheels. After a cut packet, its first stop is received at once. If it
+collides with the answer of a servo, a later one of its stops is received after the answer. If a length was garbled, the
+servo first waits for up to 255 bytes."""
 
 BEFORE_QUESTION = FILLER * 2
 """Bytes that come before each question. A servo that read a garbled length waits for up to 255 bytes, and does not

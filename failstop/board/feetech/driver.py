@@ -8,8 +8,7 @@ write, it then has what the driver has written. From address 46 on for a wheel, 
 the servo reported last. A value that nobody has read yet is not answered.
 
 Every question and every write to one servo is answered, even if the write is refused, because LeRobot's host ends when
-an answer is missing. If a servo is neither a wheel nor a joint of the settings, it does not answer, as if it were not
-connected.
+an answer is missing. Only wheels and the joints of the settings answer. Any other servo seems not to be connected.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """

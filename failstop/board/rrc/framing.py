@@ -69,9 +69,9 @@ def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
 def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
     """Make the frame for any function except MOTOR from bytes-like data, up to 255 bytes.
 
-    Motor frames come only from the checked motor encoders. For functions that go to the board, data that would put `AA
-    55 03` on the wire is refused too, because a receiver that has lost its place in the bytes would take it for a motor
-    frame.
+    Motor frames come only from the checked motor encoders. In a frame for the board, the bytes `AA 55 03` are refused
+    too, because a receiver that has lost its place in the bytes would take them for the start of a motor frame. Raises
+    FrameError.
     """
     integer("func", func, SYS, RGB)
     if func == MOTOR:

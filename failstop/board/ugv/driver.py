@@ -36,7 +36,8 @@ _LONGEST = 4096
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""A report may come this much too early, because the board does not send reports exactly on the millisecond."""
+"""A report that comes up to this much too early is still passed on, because the board does not send reports exactly on
+the millisecond."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}

@@ -2,8 +2,8 @@
 
 A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A controller
 on the CAN is reached through the controller at the port: its payload follows FORWARD and its CAN id. The frame for
-several motors has one packet for each, in one write. The motor at the port comes first: if nothing on the CAN takes a
-packet, it waits at the controller for up to 5 ms (comm_can.c), and that must not delay the motor at the port.
+several motors has one packet for each, in one write. The motor at the port comes first. If nothing on the CAN takes a
+packet, that packet waits for up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
 
 The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
 after that keeps the phases shorted. The other ways to stop are worse (mcpwm_foc.c, foc_math.c). A current of zero lets
