@@ -189,8 +189,7 @@ class Finder:
         self._look_at_ns = 0
         self.at = path
         self.sure = True
-        """False while the open device is not certain to be the board, because it was only the best one that was
-        found."""
+        """True if the open device is certainly the board. False if it is only the best guess."""
 
     def learn(self, descriptor: int) -> None:
         """Remember the open device as the board, for example at the start of a run."""

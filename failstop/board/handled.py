@@ -160,9 +160,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns a time in ns: the board has handled everything that was
-        written up to then, and if a stop was among it, the board obeys the stop. Returns 0 if the report proves nothing
-        new. `others_ns` is as in Echo.obeyed()."""
+        """Handle a report that came at `came_ns`. Returns a time in ns. The board has handled everything that was
+        written up to this time, and it obeys the stop if there was one. Returns 0 if the report proves nothing new.
+        `others_ns` is as in Echo.obeyed()."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -235,7 +235,7 @@ class Board:
     """How long after the last frame the board's own watchdog makes it report zeros, in ns. These zeros do not prove a
     stop. 0 if the board makes no such reports, or has no watchdog."""
     acknowledged_by: str
-    """BY_ANSWER or BY_ECHO. Empty if the board acknowledges nothing."""
+    """How the board acknowledges a stop: BY_ANSWER or BY_ECHO. Empty if it acknowledges nothing."""
     observed_by: str
     """What proves that the wheels are at rest: BY_IMU or BY_WHEELS."""
     per_rps: float
@@ -270,7 +270,7 @@ class Board:
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
         """Return the frame that sets all wheels. `rps` has turns per second by wire id, each within plus or minus
-        `max_rps`. Raises FrameError, also for a speed that is not finite or a wrong number of speeds."""
+        `max_rps`. Raises FrameError for a speed that is too high or not finite, and for a wrong number of speeds."""
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
@@ -290,8 +290,8 @@ class Board:
 
     def marked(self, frame: bytes, turn: int) -> bytes:
         """Return a motion frame that is sent for the `turn`th time, made slightly slower depending on the turn. Without
-        this, the board's reports of a steady command could not show whether frames still arrive. Returns the frame
-        unchanged if the board's reports prove no stops."""
+        this, the board's reports of a steady command could not show whether frames still arrive. If the board's reports
+        are not used as a proof, the frame is returned unchanged."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

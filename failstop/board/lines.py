@@ -43,8 +43,8 @@ class LineReader(Reader):
     """Makes samples from the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples` makes the samples of one line. `longest` is how many bytes of an incomplete line are kept, counted
-        from its end."""
+        """`samples` makes the samples of one line. If an incomplete line has more than `longest` bytes, only its last
+        bytes are kept."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -61,8 +61,8 @@ class OwnBoardError(ValueError):
 
 
 def wire(folder: str, *, tried: bool = False) -> Wire:
-    """Return the description of the board in that folder. Set `tried` if the process that started this one has already
-    had a child process load and test it. Raises OwnBoardError."""
+    """Return the description of your own board, which is in `folder`. Set `tried` if the process that started this one
+    has already had a child process load and test it. Raises OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
     _check(folder)
@@ -74,7 +74,7 @@ def wire(folder: str, *, tried: bool = False) -> Wire:
 
 
 def load(folder: str, name: str, value: str, *, tried: bool = False) -> Any:
-    """Return a value from a module in that folder. `tried` is as for wire(). Raises OwnBoardError."""
+    """Return a value from a module in the folder of your own board. `tried` is as for wire(). Raises OwnBoardError."""
     _check(folder)
     known = _modules(folder)
     if not tried and name not in known.tried:

@@ -143,8 +143,8 @@ class StopPort:
             return False
 
     def drain(self, within_s: float = DRAIN_S) -> bool:
-        """Wait until all written bytes have left the kernel. Call this before the port is closed, because the kernel
-        drops the bytes that are left then. Returns False if it takes longer than `within_s`, or if the port is gone."""
+        """Wait until all written bytes have left the kernel. Call this before closing the port, because closing it
+        drops the bytes that are left. Returns False if it takes longer than `within_s`, or if the port is gone."""
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
             if self.flush() and not self.holds() and not self.lost:

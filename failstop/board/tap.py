@@ -93,7 +93,7 @@ class Tap:
     def answered_ms(self, timeout_s: float) -> float | None:
         """Ask the board, and return after how many ms it answered. The answer proves that the board has handled
         everything that was written before the question. If an answer belongs to an earlier question, it does not count.
-        None if no answer comes in time, or if the board has no questions. Raises OSError."""
+        Returns None if the answer does not come in time, or if the board has no questions. Raises OSError."""
         if not self._board.pings:
             return None
         _, asked_ns = self.ping()

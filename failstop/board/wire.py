@@ -164,8 +164,8 @@ class Sample:
 
 
 class Wheels(Sample, Data):
-    """A report about the wheels, either left and right or each one. A kind of value that the board does not report is
-    an empty tuple."""
+    """A report about the wheels. It has values for left and right, or for each wheel. If the board does not report
+    speeds, or does not report positions, that tuple is empty."""
 
     speeds: tuple[float, ...]
     """The wheels' speeds, in the unit that Reports.speed_per_rps describes, or else in the unit of the board's
@@ -259,8 +259,8 @@ class Commander(Data):
     remedy: str
     """A text for people: how to prevent such commands."""
     program: str = ""
-    """If this is a program on the robot's computer, a part of its command line, so that failstop can find it. Empty for
-    anything else, because nothing on the computer shows it."""
+    """A part of the program's command line, by which failstop finds the program on the robot's computer. Empty if this
+    is not such a program."""
     fix: str = ""
     """The command that ends the program for good. Empty if nothing restarts the program when it is ended."""
 

@@ -43,8 +43,8 @@ _REST = (0.0, 0.0)
 PATIENCE_NS = 1_000_000_000
 """How long a driver waits for an answer: the default timeout of diffdrive_arduino. hbrobotics' node waits longer."""
 _LOST_NS = 100_000_000
-"""If the board has not answered a question for counts after this time, it is asked again. failstop itself asks ten
-times a second."""
+"""If the board leaves a question for counts unanswered for this long, in ns, the question is asked again. failstop
+itself asks ten times a second."""
 _STEADY_NS = 200_000_000
 """If a driver asks for counts at least this often, it gets the counts that the board reported after the driver's
 previous question."""

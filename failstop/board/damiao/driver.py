@@ -82,7 +82,7 @@ class DamiaoDriver:
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the reports for the answers to the driver's next frames. Answers about registers are passed on if the
+        """Keep the motors' reports, which answer the driver's next frames. Answers about registers are passed on if the
         driver has asked for them."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):

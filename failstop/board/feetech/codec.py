@@ -101,8 +101,8 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""Bytes that end any packet of this module that was cut, and any answer, because the rest of it is shorter. They turn
-no bytes after them into a speed."""
+"""Zeros that complete any cut packet of this module, and any cut answer, because less than this is missing. The bytes
+after them are not taken for a speed."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
 """The packet with which failstop stops the wheels. After a cut packet, its first stop is received at once. If it

@@ -156,7 +156,8 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """Return the rows for one packet. All wheels then have the speeds that the driver has commanded so far."""
+        """Handle one packet, which writes bytes to each of these servos. If it changes the speed of a wheel, the rows
+        end with a motion of all wheels, with the speeds that the driver has commanded so far."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 ANSWERS_NS = 2_500_000
-"""How long three answers of 25 bytes take, with the longest return delay that a servo comes with, 0.51 ms, before each.
-LeRobot sets this delay to 0."""
+"""How long three answers of 25 bytes take, in ns. Before each answer comes a return delay, which is 0.51 ms at most on
+a new servo. LeRobot sets this delay to 0."""
 
 
 def _arm(port: Port) -> ServoBus:

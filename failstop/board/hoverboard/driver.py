@@ -83,7 +83,7 @@ class HoverboardDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's feedback in whole frames, whichever length they have."""
+        """Pass on the board's feedback in whole frames."""
         data, at = self._heard + chunk, 0
         frames: list[bytes] = []
         while (at := data.find(_HEAD, at)) >= 0:

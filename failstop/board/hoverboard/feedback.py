@@ -2,7 +2,7 @@
 others.
 
 A fork (24955d6, used by hoverboard-robotics' ROS driver) sends eleven words, with two wheel counters before the
-battery. Its counters wrap at a number of the fork's own, so they are not used as positions.
+battery. The counters wrap at a number that only this fork has, so they are not used as positions.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
     """Return the frame that moves one or two bus servos. Each position is (id 1 to 253, position 0 to 1000). The move
     takes duration_ms, from 1 to longest_ms. Raises FrameError.
 
-    If the frame were cut short, the zeros of the stop burst might complete it, and then its last servo, or one with id
-    0, would move to another place. So the duration may be made a few milliseconds longer until that can't happen, or
-    shorter if longer is not allowed.
+    If the frame is cut short, the zeros of the stop burst may complete it. The last servo in it, or a servo with id 0,
+    would then move to a wrong position. To prevent this, the duration may be made a few milliseconds longer, or shorter
+    if longer is not allowed.
     """
     checks.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((checks.counted("moves", positions, 1, MOST_MOVES),))

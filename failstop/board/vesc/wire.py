@@ -1,11 +1,11 @@
 """The wire of one or two VESCs. The second controller is on the CAN of the first. Each controller has its own packets,
 and all of them go out in one write.
 
-Because one write has the packets for both controllers, no process can die between the two halves of a stop. The kernel
-may take only a part of a write. The rest then comes with the next burst of this writer or another one, and the receiver
-finds every whole packet that follows a cut one. So one danger remains: a controller that hears nothing, for example
-because its CAN plug is out. The motor of such a controller is stopped by the controller's own timeout. Because such a
-controller does not answer, stops do not count as acknowledged, and motion can't be enabled.
+Because one write has the packets for both controllers, a process can't die after it has stopped only one motor. The
+kernel may take only a part of a write. The rest then comes with the next burst, from the same process or from another
+one, and the receiver finds every whole packet that follows a cut one. So one danger remains: a controller that hears
+nothing, for example because its CAN plug is out. The motor of such a controller is stopped by the controller's own
+timeout. Because such a controller does not answer, stops do not count as acknowledged, and motion can't be enabled.
 
 A burst is a stop, zeros, and a second stop. If a length was garbled, the receiver waits for a packet that may be long.
 The four bursts of a writer are longer than any such packet. So a garbled length delays a stop by 0.14 s, but no stop is
