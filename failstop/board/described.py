@@ -128,8 +128,8 @@ def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
 
 
 class Described(Board):
-    """A board that is described by a Wire. It has as many speeds per frame as the description's motion, in the same
-    unit."""
+    """A board that is described by a Wire. The number of its speeds and their unit are those of the description's
+    motion."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",

@@ -12,8 +12,8 @@ A language returns rows of four kinds:
 - DriverFrame: bytes for the board that move nothing, for example a light or a question.
 - DriverRefusal: something that the driver asked for and does not get. It is shown to people once for each driver.
 
-One request may need several rows. For a refused question they are a refusal, and an answer that keeps the driver going.
-For raw PWM they are a refusal, a motion of zeros, and an answer.
+One request may need several rows. A refused question needs a refusal, and an answer that keeps the driver going. Raw
+PWM needs a refusal, a motion of zeros, and an answer.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ class Finder:
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember the other devices while the board is present, because they can't be the board after a loss."""
+        """Remember which other devices are present together with the board. After a loss, these can't be the board."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 

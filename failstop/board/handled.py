@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""Stands in the place of a ping's index, and means that a command was written."""
+"""Used instead of a ping's index if a command is written."""
 GIVEN_UP_NS = 10_000_000_000
 """A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If bytes
 could be held back for longer, there and back together, a late answer to an old question could be taken for an answer to
@@ -131,8 +131,8 @@ class Echo:
 
 
 class Handled:
-    """Follows how far the board has handled what was written to it, by all that it reports. Call wrote() before each
-    write, and heard() for each report."""
+    """Tracks which writes the board has handled, as far as the board's reports show it. Call wrote() before each write,
+    and heard() for each report."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
         """`since_ns` is a time: everything that was written until then counts as handled."""

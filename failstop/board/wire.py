@@ -215,7 +215,7 @@ class Answer(Sample, Data):
 
 
 class Restarted(Sample, Data):
-    """A sign that the board has restarted, or a part of it such as a motor's own controller."""
+    """A sign that the board, or a part of it such as a motor's own controller, has restarted."""
 
     text: str
     """What the sign was, in words for people, for example "it printed its boot text"."""

@@ -156,10 +156,10 @@ def check_aux(frame: bytes) -> str:
     """Say in a few words why these bytes must not be written as a frame that is not motion. Returns "" if they may be
     written.
 
-    It accepts only a buzzer frame with the right length and CRC. The frame must contain no start of a motor frame, and
-    the zeros of the stop burst must not be able to complete it at any cut. So whole or cut, it moves nothing. No other
-    function is accepted, because the firmware's handlers of other functions read lists past their end, and could change
-    a wheel's set point. Never raises on bytes.
+    It accepts only a buzzer frame that has the right length and CRC, and that contains no start of a motor frame. If
+    the frame were cut anywhere, the zeros of the stop burst must not complete it. So it moves nothing, whole or cut. No
+    other function is accepted, because the firmware's handlers of other functions read lists past their end, and could
+    change a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"

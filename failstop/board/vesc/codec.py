@@ -87,8 +87,8 @@ _HEAT, _MOTOR_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
 MASKS = (_MASK, _HEAT | _MASK, _MOTOR_HEAT | _MASK, _HEAT | _MOTOR_HEAT | _MASK)
 """Which values each question asks for. An answer repeats the mask of its question, so the two can be matched. With more
-questions, failstop catches up sooner after answers were lost. No byte of a mask looks like the head of a packet.
-Otherwise, after a cut question, the receiver would wait for that packet."""
+questions, failstop catches up sooner after answers were lost. No byte of a mask may look like the head of a packet,
+because after a cut question the receiver would wait for such a packet."""
 _VALUES = {mask: Struct(f">BI{'h' * (mask & (_HEAT | _MOTOR_HEAT)).bit_count()}ihiBB") for mask in MASKS}
 """The forms of the answers. They leave out the status at the end, because older firmware does not send it."""
 _LONGEST = 128
