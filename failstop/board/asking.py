@@ -92,10 +92,10 @@ class Heard(Data):
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Yield which board to ask when: (how long after the opening of the port in ns, kind) for each attempt. The board
-    that the user wants comes first. Boards without questions come next, because for them failstop only listens. Set
-    `resets` if opening the port may have reset the board. Then each board that is deaf after a reset gets a second,
-    later attempt."""
+    """Yield the order in which to ask the boards: (how long after the opening of the port in ns, kind) for each
+    attempt. The board that the user wants comes first. Boards without questions come next, because for them failstop
+    only listens. Set `resets` if opening the port may have reset the board. Then each board that is deaf after a reset
+    gets a second, later attempt."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):

@@ -205,7 +205,7 @@ class Described(Board):
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """Check a frame that is not motion with the check of the description. A motion frame never passes. If the
+        """Check a frame that is not motion, with `aux` of the description. A motion frame never passes. If the
         description has no such check, nothing passes."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"

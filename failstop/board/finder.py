@@ -37,8 +37,8 @@ class Device:
         self.vendor = vendor
         self.product = product
         self.serial = serial
-        """The device's serial number. Empty if it has none, as many adapters. Some makers give the same number to all
-        devices."""
+        """The device's serial number. It is empty for many adapters, which have none. Some makers give all their
+        devices the same number."""
         self.part = part
         """If the device has several ports, which of them this is: the USB interface, and the number of the port in
         it."""
@@ -164,7 +164,8 @@ does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
-    """Return the device that is the board by the rules of CHOICES, or None, and True if this is certain. Pure."""
+    """Return (device, certain) by the rules of CHOICES. `device` is the one that is the board, or None. `certain` is
+    True if this is certain. Pure."""
     for choice, sure in CHOICES:
         if found := choice(search):
             return (found[0], sure) if len(found) == 1 else (None, False)

@@ -46,9 +46,9 @@ class Answers:
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """Return when the earliest question was asked to which this can be the answer, in ns. 0 if there is no such
-        question. `indices` are the questions that have this answer. All questions before the returned one are closed,
-        because their answers were lost."""
+        """Return the time when the earliest question was asked that this answer can belong to, in ns. 0 if there is no
+        such question. `indices` are the questions that have this answer. All earlier questions are closed too, because
+        their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):

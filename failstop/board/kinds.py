@@ -83,7 +83,7 @@ def board_of(
 ) -> Board:
     """Make the board of the setting board.kind. Raises OwnBoardError, which is a ValueError.
 
-    `per_rps` is one turn per second of a wheel in the board's unit, and 0 means the usual number for such boards.
+    `per_rps` is how many of the board's speed units make one wheel turn per second, and 0 means the usual number.
     `steering` is the servo of a steered base, or None. `confirmed_per_rps` is the `per_rps` that somebody has confirmed
     by turning a wheel, and 0 means that nobody has. `baud` is the baud rate for which the board's firmware was built,
     and 0 means the usual rate. `can_id` is the CAN id of the second motor, if there is one. `speeds` and `tried` are
@@ -103,7 +103,7 @@ def board_of(
 
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
     """True if nobody has confirmed that the scale of `board` is right. A number that a person has only written into the
-    settings is not confirmed. If another number was confirmed, that does not help either."""
+    settings is not confirmed. A confirmed number counts only if it equals this scale."""
     if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
     usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)

@@ -69,10 +69,10 @@ def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> i
 
     A read raises BlockingIOError if nothing has come, and returns no bytes after a hang-up. With `exclusive`, other
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
-    called. Unless a service has the port, the driver is made to send the baud rate to the board's USB chip again, even
-    if the driver thinks that the chip has it. The chip forgets it at a bus reset, for example when the computer sleeps.
-    Only a character device is ever opened, and nothing is written. `named_by` is the user whose file names this path:
-    root opens it with no more than that user's rights.
+    called. Unless a service has the port, this makes the kernel's driver send the baud rate to the board's USB chip
+    again, even if the driver believes that the chip has it. The chip forgets it at a bus reset, for example when the
+    computer sleeps. Only a character device is ever opened, and nothing is written. `named_by` is the user whose file
+    names this path: root opens it with no more than that user's rights.
     """
     descriptor = -1
     try:

@@ -37,7 +37,7 @@ class Tap:
         self.size = 0
         """How many bytes were received."""
         self._flow: set[int] = set()
-        """Pings that were answered before this object had asked them. Something else makes these answers come, so they
+        """Pings that were answered before this object had asked them. Such answers come for another reason, so they
         prove nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
@@ -86,8 +86,8 @@ class Tap:
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Return when the earliest ping was written to which this answer can belong, in ns (see handled.py). 0 if it
-        belongs to none."""
+        """Return the time when the earliest ping was written that this answer can belong to, in ns (see handled.py). 0
+        if it belongs to none."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:

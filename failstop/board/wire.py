@@ -81,8 +81,8 @@ class TimedStop(Data):
     """When each writer writes the stop, in ns after it began to stop. There is a row for the port owner, one for the
     stopper and one for the supervisor. A row begins with 0, the stop itself, and goes on with the times of its repeats.
     The rows differ because the writers can't see each other's bytes: with different times, the stops of two writers
-    never touch twice in a row. If the board drops stops that touch, the last repeats must come later than 0.3 s. An
-    adapter that stalls sends everything it has kept at once, and such a board drops all of it."""
+    never touch twice in a row. Some boards drop stops that touch. For such a board the last repeats must come later
+    than 0.3 s, because after a stall an adapter sends everything it has kept at once."""
 
 
 class Pace(Data):
@@ -99,8 +99,8 @@ class Watchdog(Data):
     crashed or the cable was pulled."""
 
     after_ns: int
-    """How long after the last motion the watchdog acts if its time was not set since the board started, in ns. 0 means
-    that it does not act."""
+    """How long after the last motion the watchdog acts on a board that has just started, before failstop has set it, in
+    ns. 0 means that it does not act."""
     does: str
     """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
@@ -133,8 +133,8 @@ class Motion(Data):
     limit: float
     """The largest speed that the board accepts."""
     per_rps: Callable[[float], float]
-    """A function (wheel diameter in m) that returns one turn per second of a wheel in the board's unit, as it usually
-    is on such robots."""
+    """A function (wheel diameter in m) that returns how many of the board's speed units usually make one wheel turn per
+    second."""
     step: float
     """Speeds are sent as multiples of this number, truncated towards zero."""
     apart: float
@@ -271,8 +271,9 @@ class Reports(Data):
     every_ns: int
     """The longest time between two reports of a healthy board while the service runs, in ns."""
     speed_per_rps: Callable[[float, float], float] | None
-    """A function that returns one turn per second of a wheel, in the unit of the reported speeds. Its arguments are one
-    turn per second in the unit of the motion, and the wheel's diameter in m. None if the board reports no speeds."""
+    """A function that returns how many units of the reported speeds make one wheel turn per second. Its first argument
+    is how many units of the commanded speeds make one wheel turn per second, and its second is the wheel's diameter in
+    m. None if the board reports no speeds."""
     position_per_turn: Callable[[float, float], float] | None
     """A function that returns how much a position grows in one turn of its wheel. It has the arguments of
     `speed_per_rps`. None if the board reports no positions."""

@@ -164,8 +164,8 @@ class Motors:
 
     def check_aux(self, frame: bytes) -> str:
         """Say why these bytes must not be written as a frame that is not motion. Returns "" for a question that reads a
-        register, the only frame that may be written. The register must exist. If two characters of another question
-        were lost, it could become a value for a register."""
+        register, the only frame that may be written. The register must exist, because a question for a higher number
+        could become a value for a register if two of its characters were lost."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"

@@ -43,7 +43,7 @@ _LONGEST = 30
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
-"""The modes of a motor. A command for a mode has a CAN id with this number of hundreds (hexadecimal)."""
+"""The modes of a motor. A command has the CAN id 0x100 times the mode plus the id of the motor."""
 _NO_SPEED = {_MIT: "an MIT command", _POSITION: "a position", _FORCE: "a position with a force"}
 _STORE = 0xAA
 _USE_SPEEDS = "its speed can't be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"

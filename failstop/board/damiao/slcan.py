@@ -8,7 +8,7 @@ A line has no checksum, and the two CANables execute whatever comes before a car
 take the missing digits from the line before it. An empty line makes them repeat the last command. So FLUSH comes before
 each stop. It is longer than any line that these adapters keep, so they drop whatever was cut. An adapter that keeps
 longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and does not
-change its direction, because the digits that count most come last.
+change its direction, because the digits that count most come last, so they become 0.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ LeKiwi host.
 Packets are read byte by byte as a servo reads them: it waits for the rest of a packet forever and looks at no byte
 twice. Only the wheels' goal speeds move anything. What the driver reads comes from a table for each servo. The table
 begins with the settings' ranges and offsets and with the values that LeKiwi's servos are set to. Where the driver may
-write, it then has what the driver has written. From address 46 on for a wheel, and from 56 on for a joint, it has what
-the servo reported last. A value that nobody has read yet is not answered.
+write, the table then has what the driver has written. From address 46 on for a wheel, and from 56 on for a joint, it
+has what the servo reported last. A value that nobody has read yet is not answered.
 
 Every question and every write to one servo is answered, even if the write is refused, because LeRobot's host ends when
 an answer is missing. Only wheels and the joints of the settings answer. Any other servo seems not to be connected.

@@ -5,9 +5,9 @@ So two frames without a gap between them are both dropped. The receiver also loo
 feedback frames, every 10.1 ms, and drops a frame that is half received then. This loses a single stop in 6.1 % of
 cases.
 
-So each writer repeats its stop, at times of its own. Take any two writers, whichever begins first and however much
-later the second one begins. Apart from their first stops, at most one pair of their early stops touches, and one more
-stop is lost to the feedback. With one or two writers a stop is accepted within 12 ms, with three within 40 ms
+So each writer repeats its stop, at times of its own. The times are chosen for any two writers, and for any delay
+between their first stops. Apart from the first stops, at most one pair of their early stops touches, and one more stop
+is lost to the feedback. With one or two writers a stop is accepted within 12 ms, with three within 40 ms
 (tests/board/test_stop_of_every_board.py). Mostly the port owner writes alone. If a computer holds back its first stop
 for a few ms, the second one comes so late that the two are not sent together. If a computer is held up again and again,
 repeats reach the board in pairs and are lost. That is why some repeats come as late as 53 to 116 ms.

@@ -21,10 +21,10 @@ class RrcArm(ServoBus):
     beside_wheels = holds_by_goal = False
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Return a stop for each servo. It must never be a write of its own. Otherwise the kernel might take only a
-        part of the burst, and then the servos' stop. The board would read the servos' stop as the rest of a motor
-        frame, with a wheel's id and speed. At the end of the burst's own write it follows a whole burst, or is not
-        written at all. If it is cut itself, the next burst heals the cut, as in any frame."""
+        """Return the frames that stop these servos. Never write them alone. Otherwise the kernel might take only a part
+        of the burst before them, and the board would read them as the rest of a motor frame, with a wheel's id and
+        speed. At the end of the burst's own write they follow a whole burst, or are not written at all. If they are cut
+        themselves, the next burst heals the cut, as in any frame."""
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:

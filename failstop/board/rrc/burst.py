@@ -6,9 +6,9 @@ A stop frame alone can get lost. The receiver may be waiting for the rest of a f
 up to 256 of the following bytes for that rest (firmware source). So the burst has these parts:
 
 - Zeros are a safe filler. Between frames the receiver ignores zeros. If it waits for a function, they make an empty SYS
-  frame, which does nothing. If it waits for a length, they make the length 0. More stop frames would not be safe
-  instead, because `AA` could become a length of 170. As the rest of a cut motor frame, they could also give that frame
-  an invalid wheel id.
+  frame, which does nothing. If it waits for a length, they make the length 0. Stop frames would not be a safe filler,
+  because `AA` could become a length of 170. As the rest of a cut motor frame, they could also give that frame an
+  invalid wheel id.
 - 32 zeros complete any motor frame of this package that was cut, because at most 22 bytes of data and the CRC are
   missing. The receiver then drops the frame because of its CRC. Zeros can only complete a frame whose CRC is zero at
   the cut, and codec.motor_speeds makes no such motion frame.

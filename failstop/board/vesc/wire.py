@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _MS = 1_000_000
 IDLE_NS = 100_000
 HUB_PER_RPS, CAR_PER_RPS = 900.0, 1450.0
-"""One turn per second in ERPM, as it usually is. HUB_PER_RPS is for a hub motor with 15 pairs of poles, as in a
+"""How many ERPM usually make one wheel turn per second. HUB_PER_RPS is for a hub motor with 15 pairs of poles, as in a
 hoverboard. CAR_PER_RPS is for a RoboRacer car, which has 4614 ERPM at 1 m/s (f1tenth_system 03865a0, vesc.yaml) and
 wheels of 0.1 m."""
 
