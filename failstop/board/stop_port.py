@@ -4,7 +4,7 @@ stop in the same way.
     the kernel                then the stop
     takes all of it           is written
     takes none now (EAGAIN)   is tried again at once: the kernel lacks room, or another process is writing
-        takes a part, or none     is not written yet: the rest goes first with the next burst, or with flush()
+    takes a part, or none     is not written yet: the rest goes first with the next burst, or with flush()
     knows no such device      is not written; the port is gone
 """
 
