@@ -105,10 +105,10 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask as one board after another until the device is recognised. The last result in the list is then the board that
-    was found. The caller must already have written the stop of the first board. If no board is found, ask again at the
-    other baud rates that a board may have. With `strangers`, nothing is written for any board except the first. Raises
-    OSError if the device is gone."""
+    """Ask the device at the port the questions of one board after another, until it is recognised. The last result in
+    the list is then the board that was found. The caller must already have written the stop of the first board. If no
+    board is found, ask again at the other baud rates that a board may have. With `strangers`, nothing is written for
+    any board except the first. Raises OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.

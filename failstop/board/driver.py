@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop, and mean
     that the driver no longer drives. If a frame of the driver names only some wheels, the other wheels keep the speeds
-    that it commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
+    that the driver commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
     service."""
 
     speeds: Sequence[float]

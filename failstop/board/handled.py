@@ -1,4 +1,4 @@
-"""Handled: finds out up to which write the board has certainly handled the bytes that were written to it. Pure.
+"""Handled: finds out which writes the board has certainly handled. Pure.
 
 An answer does not say which question it belongs to. An echo, which is the board's report of its present command, does
 not say which frame it belongs to. But the board handles frames in the order in which they were written, and its answers
@@ -25,7 +25,7 @@ COMMANDED = 255
 """Used instead of a ping's index if a command is written."""
 GIVEN_UP_NS = 10_000_000_000
 """A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If bytes
-could be held back for longer, there and back together, a late answer to an old question could be taken for an answer to
+could be delayed for longer, on the way there and back, a late answer to an old question could be taken for an answer to
 a new one."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
@@ -90,7 +90,7 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Return the time when the stop was written that this report proves, in ns. 0 if the report proves no stop.
+        """Return when the stop that this report proves was written, as a time in ns. 0 if the report proves no stop.
         `others_ns` are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0

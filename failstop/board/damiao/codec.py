@@ -205,7 +205,7 @@ class Replies(Reader):
         self._set = {MODE: _COUNT.pack(SPEED_MODE)}
         """The values to which the registers of all motors were set, as the motors' answers show them."""
         self._asked = 0
-        """The register that the newest question read."""
+        """The register that the newest question asks for."""
         self._answered: set[int] = set()
         """The motors that have answered the newest question."""
         self._last_report: tuple[int, ...] = ()

@@ -5,7 +5,7 @@ the slcan of python-can 4.6.1, and what the vendor's DM_Control_Python (7da9387)
 do. A speed frame may have four bytes or more, and lower-case digits, because the adapters accept both. Each frame for a
 motor is answered with the motor's newest report, whose status is the one that the driver has given it. A driver's
 question for a register is passed on to the motor, and the answer is passed back. Answers to failstop's own questions
-are not.
+are not passed on.
 
 failstop itself enables the motors and opens the adapter. So when a driver enables, disables, opens or closes something,
 this is only remembered. After a driver has closed the adapter, or disabled a motor, it moves nothing until it has
