@@ -42,11 +42,13 @@ if "t" in sys.abiflags:
     )
 
 _HOMES = ("errors", "snapshot", "events", "robot", "why")
-"""Where they are, those first that the others import."""
+"""The modules of failstop.api that define the public names. A module comes before the ones that import it, so that
+looking up one name loads as few modules as possible."""
 
 
 def __getattr__(name: str) -> object:
-    """Import public names at their first use: the service's processes import this package too, and must stay small."""
+    """Import each public name when it is first used. The service's own processes import this package too, and must stay
+    small."""
     if name == "__version__":
         from failstop.version import VERSION
 

@@ -1,4 +1,4 @@
-"""Configuration: one TOML file, read and checked once, at the start."""
+"""Configuration: reads and checks the settings file (TOML) once, when the service starts."""
 
 from __future__ import annotations
 
@@ -15,35 +15,38 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MOST_BYTES = 65536
-"""Nine times a file that sets everything and explains it."""
+"""The largest settings file that is read, in bytes. A file that sets and explains every setting has a ninth of this."""
 LONGEST_LINE = 1000
 LONGEST_KEY = 80
-"""Twice the longest there is."""
+"""The longest key that is accepted, in characters: twice the length of the longest key of any setting."""
 FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
 
 
 def installed(name: str) -> str:
-    """The file of an instance that was installed on this machine."""
+    """The path of the installed settings file of an instance, for example `/etc/failstop/failstop.toml`."""
     return root.at(f"{FOLDER}/{name}.toml")
 
 
 def chosen(name: str, path: str | None) -> str | None:
-    """The file that a person named, else the installed one of this instance; None: this user can't read one."""
+    """The settings file to use: the one that a person named, or else the installed file of this instance. Returns None
+    if no file was named and this user can't read an installed one."""
     default = installed(name)
     return path or (default if os.access(default, os.R_OK) else None)
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
-    """Return the settings of a file (none: the defaults) with `changed` over them. Raises SettingError."""
+    """Load a settings file, or the defaults if `path` is None. Values in `changed` replace those of the file. Raises
+    SettingError."""
     return checked({**read(path), **(changed or {})}, path)
 
 
 def checked(changed: dict[str, object], path: str | None = None) -> Settings:
-    """The settings that a person wrote, by whole key. Raises SettingError, which names the file, if there is one."""
+    """Check settings that a person wrote, given by their whole keys such as `gate.lease_s`, and return them as
+    Settings. Raises SettingError, which names the file if `path` is given."""
     button = changed.get(MODE_BUTTON)
     try:
-        # Two bits would be two buttons that do not stop.
+        # With two bits set, two buttons would not stop the robot.
         if type(button) in (int, float) and button not in [1 << bit for bit in range(16)]:
             found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
             raise SettingError(f"{MODE_BUTTON} = {found}: it must be exactly one bit, 0x0001, 0x0002 ... 0x8000")
@@ -53,8 +56,9 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
 
 
 def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:
-    """The lines of a file that stand below the wrong [table], and where they belong; empty: none does. `found`: what it
-    sets, by whole key; `known`: whether there is such a setting."""
+    """A text that names the lines of a settings file that are below the wrong [table], and where they belong. It is
+    empty if every line is in its place. `found`: the values that the file sets, by whole key. `known`: a function that
+    returns True if a setting with that key exists."""
     from failstop.policy import placing
 
     try:
@@ -64,13 +68,13 @@ def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool])
 
 
 def read(path: str | None) -> dict[str, object]:
-    """The values that a file sets (none: nothing), by whole key, unchecked. Raises SettingError, and nothing else,
-    whatever is at that path and in it."""
+    """Read the values that a settings file sets, by whole key, without checking them. Returns nothing if `path` is
+    empty. Whatever is at that path, this raises only SettingError."""
     if not path:
         return {}
     text = ""
     try:
-        # Only a run with a file pays for the parser.
+        # imported only if a file was named, because the parser takes time to load
         if sys.version_info >= (3, 11):
             import tomllib
         else:
@@ -87,7 +91,7 @@ def read(path: str | None) -> dict[str, object]:
         raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
     except RecursionError:
         problem = "it is nested too deeply"
-    except Exception as error:  # the stop tool reads it too, and no file may keep a stop from being written
+    except Exception as error:  # the stop tool reads settings too, and must write its stop whatever the file contains
         from failstop.policy import placing
 
         problem = shortened(str(error) or type(error).__name__)
@@ -97,8 +101,9 @@ def read(path: str | None) -> dict[str, object]:
 
 
 def _text(path: str) -> str:
-    """The text of a settings file. Only a regular file is read, and only as much as a settings file can have, because a
-    device or a pipe may never end, and the parser's time grows with the square of the parts of a key."""
+    """Read the text of a settings file. It reads only a regular file, because reading a device or a pipe may never end.
+    It also refuses files, lines and keys that are too long, because the parser's time grows with the square of the
+    number of parts of a key."""
     fd = durable.open_regular(path)
     try:
         data = b""
@@ -110,7 +115,7 @@ def _text(path: str) -> str:
         raise ValueError(f"it has more than {MOST_BYTES} bytes")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ValueError("it is UTF-16: save it as UTF-8")
-    # Some editors begin a file with a mark that says that it is UTF-8.
+    # Some editors begin a UTF-8 file with a byte order mark.
     text = data.decode("utf-8-sig")
     for number, line in enumerate(text.split("\n"), 1):
         if len(line) > LONGEST_LINE:
@@ -125,9 +130,9 @@ def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
         if len(whole) > LONGEST_KEY or not whole.isprintable():
             raise SettingError(f"{shown(whole)} is not a setting; `failstop config` lists them all")
         if "." in key or not key:
-            # It would pass for the table and the key on either side of its dot, and hide what those say.
+            # Such a key looks like a table and a key in it, and would hide the value that was set there.
             raise SettingError(f'{prefix}"{key}" is not a setting; write tables as [gate], keys without quotes')
-        # An empty table says something too: a source or an interlock with every default, or a name that is wrong.
+        # Keep an empty table, because it means something: a source or an interlock with every default, or a wrong name.
         if isinstance(value, dict) and value:
             found += _flat(f"{whole}.", value)
         else:

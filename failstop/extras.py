@@ -1,6 +1,7 @@
-"""Extras: packages that a part of failstop needs and the service does not, and what to type where they are missing.
+"""Extras: the packages that only some parts of failstop need, and the message for a user who lacks them.
 
-No index has failstop itself: a person is told the packages by their own names, for the environment that runs this.
+failstop itself is on no package index, so `pip install failstop[web]` can't work. The message therefore names the
+packages themselves, and the Python for which they must be installed.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ PACKAGES = {
     "plots": ("matplotlib",),
     "web": ("segno", "tornado"),
 }
-"""By the extra of pyproject.toml that names them."""
+"""The packages of each extra. The extras have the same names in pyproject.toml."""
 
 
 def missing(what: str, extra: str, *, pip: bool | None = None) -> str:
-    """The message for something that needs an extra which is not there. `pip`: there is one here; None: look."""
+    """The message if the packages of an extra are missing: what needs them, and the pip command that installs them.
+    `pip`: True if this Python has pip, False if it has none; by default this function looks for it."""
     packages = " ".join(PACKAGES[extra])
     if not (importlib.util.find_spec("pip") if pip is None else pip):
         return f"{what}, and there is no pip in {sys.prefix}: do it on a machine with failstop's source and {packages}"

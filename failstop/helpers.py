@@ -1,10 +1,11 @@
-"""Helpers: the Python processes that a command starts. They find the modules that the command finds, but never one in
-the current folder.
+"""Helpers: the Python processes that a command starts. They import the same modules as the command, but never a module
+from the current folder.
 
 `python -m failstop` puts the current folder first on the search path, and so does an empty entry of PYTHONPATH. If root
-runs it in a folder where somebody else left a `json.py`, Python would run that file. Python's own `-P` exists only
-since 3.11, and `-I` alone would also lose PYTHONPATH and the user's site-packages, where ROS and failstop itself may be
-installed. So a helper starts with `-I`, runs this file, and gets its search path from the process that starts it.
+runs failstop in a folder where another user left a `json.py`, Python would run that file as root. Python's own option
+`-P` exists only since 3.11. `-I` alone would also ignore PYTHONPATH and the user's site-packages, where ROS and
+failstop itself may be installed. So a helper starts with `-I` and runs this file, which gets the search path from the
+process that starts the helper.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ _PACKAGE = os.path.dirname(_FILE)
 
 
 def python(module: str, *words: str) -> list[str]:
-    """The command line that runs a module as `python -m` does, or, with "-c", the program in the first of `words`."""
+    """The command line that runs a module as `python -m MODULE` does. If `module` is "-c", it runs the program in the
+    first of `words`."""
     flags = ["-I", *["-B"] * sys.dont_write_bytecode]
     return [sys.executable, *flags, _FILE, os.pathsep.join(search_path()), module, *words]
 
 
 def search_path() -> list[str]:
-    """This process's search path without the current folder, however that got onto it. Folders that were put there on
-    purpose stay: those that PYTHONPATH names by their full path, and those of Python and failstop itself."""
+    """This process's search path without the current folder, even if an empty or relative entry put that folder there.
+    Folders that were added on purpose stay: those that PYTHONPATH names by their full path, and those of Python and
+    failstop itself."""
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     meant = {os.path.dirname(_PACKAGE), os.path.dirname(os.__file__), *filter(os.path.isabs, named), *_site_packages()}
     try:
@@ -32,20 +35,20 @@ def search_path() -> list[str]:
         left_out = {here, *(os.path.abspath(path) for path in named if not os.path.isabs(path))} - meant
     except OSError:  # the current folder was removed, so nothing can be imported from it
         left_out = set()
-    # A newly started program does the same: PYTHONPATH may have been set since this one started.
+    # A new Python process would use today's PYTHONPATH, which may have changed since this process started.
     since = [path for path in named if path not in sys.path]
     found = dict.fromkeys(path for path in (*since, *sys.path) if os.path.isabs(path) and path not in left_out)
     return [*found, *{os.path.dirname(_PACKAGE)} - found.keys()]
 
 
 def _site_packages() -> list[str]:
-    """Where pip and the distribution install packages."""
+    """The folders in which pip and the Linux distribution install packages."""
     site = sys.modules.get("site")
     return [*site.getsitepackages(), site.getusersitepackages()] if site and not sys.flags.no_site else []
 
 
 def leave_current_folder() -> None:
-    """Import nothing from the current folder from now on, neither in this process nor in those that it starts."""
+    """From now on, import nothing from the current folder, in this process and in all processes that it starts."""
     sys.path[:] = search_path()
     if named := os.environ.get("PYTHONPATH"):
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, named.split(os.pathsep)))

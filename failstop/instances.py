@@ -1,4 +1,5 @@
-"""Instances on this machine: becoming the service of a name, and which names have a service that listens."""
+"""Instances: starts a service under a name that no other service on this machine uses, and lists the running
+services."""
 
 from __future__ import annotations
 
@@ -11,21 +12,24 @@ from failstop.files import instance, place
 from failstop.shm import bell, claim
 
 LETTING_GO_S = 0.5
-"""How long a lock whose owner has died is waited for."""
+"""If the owner of a lock has died, wait this long, in seconds, until the kernel has released the lock."""
 _NOT_FOR_US = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR)
-"""Why a place is another user's, or not there: the next one is tried."""
+"""If a directory can't be made because of one of these errors, it belongs to another user, or its parent is missing or
+read-only. Then the next directory is tried."""
 
 
 def unit_of(name: str) -> str:
-    """The systemd unit of an instance."""
+    """The systemd unit of the instance with this name, for example `failstop@left.service`."""
     return "failstop.service" if name == instance.DEFAULT_NAME else f"failstop@{name}.service"
 
 
 def make_runtime_dir(name: str) -> str:
-    """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError.
+    """Make the runtime directory of an instance, or take over an existing one, and return its path. Raises
+    InstanceError.
 
-    It is the first that this user may make; one that can't be made for another reason is told, not passed over:
-    clients would look there first.
+    It tries the directories of instance.bases() in order, and skips those that this user may not use. Any other error,
+    such as a full disk, ends the search: clients look in that directory first, so a service in a later one would not be
+    found.
     """
     instance.check_name(name)
     doubts = ""
@@ -48,7 +52,8 @@ def make_runtime_dir(name: str) -> str:
 
 
 def _made(base: str, name: str, mode: int) -> bool:
-    """Make both directories; False where another user keeps this one from it. Raises OSError."""
+    """Make the directory `base` and the directory `name` in it. Returns False if the inner one belongs to
+    another user. Raises OSError, also if it belongs to another user and this process is root."""
     before = os.umask(0)
     try:
         with contextlib.suppress(FileExistsError):
@@ -67,18 +72,19 @@ def _made(base: str, name: str, mode: int) -> bool:
     finally:
         os.close(found)
     if owner != os.geteuid() and not os.geteuid():
-        # The owner could neither use nor remove a thing that root made there.
+        # The owner could neither use nor remove files that root makes in this directory.
         path, whose = os.path.join(base, name), place.user(owner)
         raise place.Untrusted(path, f"belongs to {whose}: start it as that user, or choose another --name")
     return owner == os.geteuid()
 
 
 def lock(runtime_dir: str) -> int:
-    """Become the service of this directory; returns the descriptor to keep open. Raises InstanceError when one runs, or
-    the lock can't be written."""
+    """Lock a runtime directory for this process, so that no second service can use it. Returns a descriptor, which must
+    stay open as long as the service runs. Raises InstanceError if a service is running there, or the lock can't be
+    written."""
     path = instance.lock_path(runtime_dir)
     try:
-        # Private: a lock that others could open, they could hold.
+        # Private, because any user who can open the lock file can also hold the lock.
         fd = claim.open_claims(path, create=True, mode=0o600)
     except OSError as error:
         raise instance.InstanceError(f"the lock {path} can't be made: {error.strerror}") from None
@@ -86,7 +92,7 @@ def lock(runtime_dir: str) -> int:
         until_s = time.monotonic() + LETTING_GO_S
         while not claim.acquire(fd, 0):
             pid = _pid(fd)
-            # A process that a supervisor was just starting when it died has the lock too, until its exec.
+            # If a supervisor dies while it starts a process, that process holds the lock too, until it calls exec.
             if time.monotonic() > until_s or os.path.exists(f"/proc/{pid}"):
                 raise instance.already_running(os.path.basename(runtime_dir), pid)
             time.sleep(0.002)
@@ -102,26 +108,28 @@ def lock(runtime_dir: str) -> int:
 
 
 def _pid(fd: int) -> str:
-    """The pid of the lock's holder, which it wrote into the file; `unknown` if it has not."""
+    """The pid of the process that holds the lock. That process wrote its pid into the lock file; `unknown` if it has
+    not."""
     return os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
 
 
 def refuse_locked(name: str) -> None:
-    """Raises InstanceError while a living process has the lock of a service of this name."""
+    """Raise InstanceError if a living process holds the lock of a service of this name."""
     for path in instance.places(name):
         if pid := holder(path):
             raise instance.already_running(name, pid)
 
 
 def refuse_listening(name: str, but: str = "") -> None:
-    """Raises InstanceError while a service of this name listens, in another directory than `but`."""
+    """Raise InstanceError if a service of this name accepts stop requests in any runtime directory other than `but`."""
     for path in instance.places(name):
         if path != but and running(path):
             raise instance.already_running(name, "unknown")
 
 
 def holder(runtime_dir: str) -> str:
-    """Pid of the living process that holds the lock; empty when there is none, or it is another user's."""
+    """The pid of the living process that holds the lock of a runtime directory. Empty if no process holds it, or if the
+    lock belongs to another user."""
     try:
         fd = claim.open_claims(instance.lock_path(runtime_dir))
     except OSError:
@@ -133,7 +141,8 @@ def holder(runtime_dir: str) -> str:
 
 
 def running(runtime_dir: str) -> bool:
-    """True while a service of this directory listens for stop requests; never in one of somebody else's."""
+    """True if a service in this runtime directory accepts stop requests. False if another user could have made the
+    directory, because then it is not trusted."""
     try:
         os.close(bell.open_pipe_to_write(instance.stop_path(runtime_dir)))
     except OSError:
@@ -142,7 +151,7 @@ def running(runtime_dir: str) -> bool:
 
 
 def listens(name: str) -> bool:
-    """True while a service of this name takes stop requests; never of what can't be a name."""
+    """True if a service of this name accepts stop requests. False if the name is not a valid one."""
     try:
         instance.find(name)
     except (instance.InstanceError, instance.NoService):
@@ -151,7 +160,7 @@ def listens(name: str) -> bool:
 
 
 def listening() -> list[str]:
-    """The names of all services that take stop requests, as far as this user sees them."""
+    """The names of all services that accept stop requests and whose runtime directory this user can see."""
     found: set[str] = set()
     for base in instance.bases():
         with contextlib.suppress(OSError):

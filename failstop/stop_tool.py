@@ -1,14 +1,15 @@
-"""The stop without a service: the stop tool opens the port and writes the stop burst, which needs no running process.
-At the service's end it first kills the rest of its own control group.
+"""The stop tool: stops the robot when no service is running. It opens the port and writes the stop burst itself. When
+the service ends, it first kills the processes that are left of it.
 
-At `systemctl stop`, at a restart and when its watchdog fires, systemd runs ExecStopPost while workers of the service
-still live. They hold the port (TIOCEXCL), and what they write could follow the stop. The tool finds them in /proc, not
-in the control group's own files, whose place depends on how the machine mounts its hierarchies.
+systemd runs this tool (ExecStopPost) at `systemctl stop`, at a restart, and when its watchdog fires. Workers of the
+service may still be alive then. They hold the port (TIOCEXCL), and could write to it after the stop. The tool finds
+them in /proc by their control group. It does not use the control group's own files, because their place differs between
+machines.
 """
 
 from __future__ import annotations
 
-# The C module under `signal`, which costs an import of enum.
+# The C module under `signal`, because importing `signal` would also import enum.
 import _signal
 import contextlib
 import os
@@ -22,7 +23,7 @@ from failstop.board.stop_port import StopPort
 RETRY_S = 0.02
 WARN_S = 1.0
 OLDER_S = 0.05
-"""An answer that comes within this time belongs to a question asked before."""
+"""An answer that comes within this time, in seconds, answers an earlier question, so it is ignored."""
 _SIGKILL = 9
 
 TYPE_CHECKING = False
@@ -40,9 +41,13 @@ def stop(
     otherwise: Callable[[PortError], bool] = lambda _: False,
     named_by: int = 0,
 ) -> float:
-    """Write the burst; returns how many seconds it took. `wait` returns for how many seconds to retry, and is called
-    only after the first failure, because the answer may be in a file. `otherwise` is called after each failure; True:
-    another way has sent a stop. `named_by`: as for open_port(). Raises the last PortError."""
+    """Write the stop burst, and try again until it works or the time is over. Returns how many seconds that took.
+    Raises the last PortError.
+
+    `wait` is called after the first failure, and returns for how many seconds to try. It is not called earlier, because
+    it may have to read a file. `otherwise` is called after each failure; it returns True if a stop was sent in another
+    way, and then no more is written. `say` prints a text. `named_by`: as for open_port().
+    """
     start_s = time.monotonic()
     wait_s = -1.0
     warned = False
@@ -65,8 +70,9 @@ def stop(
 
 
 def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
-    """Open the port without taking it from anyone, write the whole burst, then the frames that stop an arm with these
-    servos, wait until they are drained, close. `named_by`: as for open_port(). Raises PortError."""
+    """Write the whole stop burst to the port, and then the frames that stop an arm with these servos. Waits until the
+    bytes have left the kernel. It opens the port without taking it from another process. `named_by`: as for
+    open_port(). Raises PortError."""
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port, named_by=named_by), board, servos)
     try:
         stop_port.burst()
@@ -80,12 +86,12 @@ def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: in
 
 
 def answered(path: str, board: Board, *, patient: bool, named_by: int = 0) -> bool | None:
-    """Whether the board answers at a port where its stop was written. None: unknown, because the board answers nothing
-    by design, or a service reads the port. `patient`: wait for a board that opening its port resets. `named_by`: as for
-    open_port(). Never raises."""
+    """After a stop, find out if the board still answers. Returns None if that can't be known, because this kind of
+    board never answers, or because a service reads the port. `patient`: if the board doesn't answer, wait and ask
+    again, because opening the port resets some boards. `named_by`: as for open_port(). Never raises."""
     if not (board.pings or board.echo_ns):
         return None
-    # Imported after the stop, which needs neither.
+    # Imported only here, because the stop itself needs neither.
     from failstop.board import asking
     from failstop.board.tap import Tap
 
@@ -113,24 +119,24 @@ def answered(path: str, board: Board, *, patient: bool, named_by: int = 0) -> bo
 
 
 def of_a_service(proc: str = "/proc") -> bool:
-    """True if this process's control group is that of a systemd service, and not, for example, of a login. Raises
-    OSError."""
+    """True if this process is in the control group of a systemd service. It is False, for example, in a login session.
+    Raises OSError."""
     return any(line.endswith(b".service") for line in _group(proc, "self"))
 
 
 def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
-    """SIGKILL every other process of this one's control group until none is left, or `timeout_s` is over. Returns how
-    many were killed, and how many of them have not ended. `proc`: where to find processes. Raises OSError if this
-    process's own control group can't be read."""
+    """Kill (SIGKILL) all other processes of this process's control group, until none is left or `timeout_s` is over.
+    Returns how many processes were killed, and how many of the killed ones have not ended yet. `proc`: the folder that
+    lists the processes. Raises OSError if this process's own control group can't be read."""
     group = _group(proc, "self")
     until_s = time.monotonic() + timeout_s
     killed: set[int] = set()
     left = 0
-    # More than once: one of them may just have started another.
+    # Repeat it, because one of the processes may just have started another.
     while not left and (found := _others(proc, group)):
         try:
             for fd in found.values():
-                # Another user's process: waiting for it fails, and the result reports it.
+                # Another user's process can't be killed. It will not end, so the result reports it.
                 with contextlib.suppress(OSError):
                     _signal.pidfd_send_signal(fd, _SIGKILL)
             killed.update(found)
@@ -142,7 +148,7 @@ def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
 
 
 def _others(proc: str, group: list[bytes]) -> dict[int, int]:
-    """The pidfd of each other living process of the group, by its pid."""
+    """A pidfd for each other living process of the control group, by pid."""
     found: dict[int, int] = {}
     for word in os.listdir(proc):
         if not word.isdecimal() or int(word) == os.getpid():
@@ -153,8 +159,8 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
                 continue
             fd = os.pidfd_open(pid)
         except OSError:
-            continue  # it has just ended
-        # Look again now that the descriptor is open: the pid may have been another process's a moment ago.
+            continue  # the process has just ended
+        # Check again with the pidfd open, because the pid may have belonged to another process before.
         try:
             same = _group(proc, word) == group and bool(_wait([fd], 0.0))
         except OSError:
@@ -167,14 +173,15 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
 
 
 def _group(proc: str, pid: str) -> list[bytes]:
-    """A process's control group in the hierarchies where systemd separates services, one or both; in others people may
-    have moved single processes. Raises OSError."""
+    """A process's control group, as lines of its `cgroup` file. Only the hierarchies that systemd uses to separate
+    services count, because in the others people may have moved single processes. Raises OSError."""
     with open(f"{proc}/{pid}/cgroup", "rb") as file:
         return [line for line in file.read().splitlines() if line.split(b":", 2)[1] in (b"", b"name=systemd")]
 
 
 def _wait(fds: Collection[int], until_s: float) -> int:
-    """Wait until all of these processes have ended; returns how many have not by `until_s`."""
+    """Wait until all of these processes have ended, but not after `until_s` (time.monotonic()). Returns how many are
+    left."""
     poll = select.poll()
     for fd in fds:
         poll.register(fd, select.POLLIN)

@@ -1,5 +1,5 @@
-"""The version of this package, in the one place that both the build and the running processes read; and the public
-names that the next minor version may take away (SECURITY.md has the rule)."""
+"""The version of failstop, and the public names that are deprecated. The build and the running processes read both from
+here. SECURITY.md says how long a deprecated name keeps working."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ if TYPE_CHECKING:
 VERSION = "0.1.0"
 
 DEPRECATED: dict[str, str] = {}
-"""Options, as `drive --for`, and settings, as `gate.lease_s`: each is taken till then, for the one to use instead."""
+"""The deprecated names, each with the name to use instead. Options are written with their command, as in `drive --for`,
+and settings by their whole key, as in `gate.lease_s`. They keep working until the next minor version."""
 
 
 def renewed(word: str) -> str:
-    """Return what to use instead of a deprecated word, and say so on standard error; any other word as it is."""
+    """Return the new name for a deprecated one, and print a warning on standard error. Any other name is returned
+    unchanged."""
     new = DEPRECATED.get(word)
     if new is None:
         return word
@@ -25,13 +27,15 @@ def renewed(word: str) -> str:
 
 
 def options(command: str, words: list[str]) -> list[str]:
-    """Return the words behind a command with today's options for deprecated ones, also in `--option=value`."""
+    """Return the arguments of a command with deprecated options replaced by the new ones. It also finds them in
+    `--option=value`."""
     parts = [word.partition("=") for word in words]
     return [renewed(f"{command} {flag}").removeprefix(f"{command} ") + sign + value for flag, sign, value in parts]
 
 
 class Renamed:
-    """The old name of an attribute or method: it gives what the new one does, with a DeprecationWarning."""
+    """Keeps the old name of an attribute or method working. Using the old name returns the new attribute, with a
+    DeprecationWarning."""
 
     def __init__(self, new: str) -> None:
         self.new = new

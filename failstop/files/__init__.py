@@ -1,1 +1,2 @@
-"""Files: a run's directory, its names on the disk, and files that outlive it."""
+"""Files: the runtime directory of a service, the files in it, and the files that are kept after the service has
+ended."""

@@ -1,7 +1,7 @@
-"""Durable: files that are either whole and on the disk, or absent, and that are what they seem to be.
+"""Durable: writes files so that a power cut never leaves half a file, and opens only files that are safe to open.
 
-A draft is written and synced, then renamed. Only regular files are read or appended to, so that no open waits for the
-other end of a pipe.
+A file is first written and synced under a draft name, then renamed. Only regular files are opened, because opening a
+pipe could wait forever for its other end.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import stat
 from errno import EINVAL, EPERM
 
 LEAST_ROOM = 1_000_000
-"""Bytes. An incident, the largest file that outlives a run, takes about half of this."""
+"""The least free space on a disk, in bytes, with which failstop still writes files. An incident takes about half of
+this, and it is the largest file that is kept after a run."""
 FILE_TYPES = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",
@@ -24,8 +25,8 @@ FILE_TYPES = {
 
 
 def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a regular file, also through links. Returns at once; opening a pipe would wait. Raises OSError."""
-    # Check before opening, because opening a device has effects, such as raising a port's modem lines.
+    """Open a regular file, also through links. It never waits, and refuses pipes and devices. Raises OSError."""
+    # Check before opening, because opening a device can have effects, such as raising a port's modem lines.
     with contextlib.suppress(FileNotFoundError):
         _check_regular(os.lstat(path) if flags & os.O_NOFOLLOW else os.stat(path), path)
     fd = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, 0o644)
@@ -38,13 +39,13 @@ def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
 
 
 def open_own(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a file of the service: regular, with no second name, owned by this user or its folder's owner. Raises
-    OSError."""
+    """Open a file that the service made. It must be a regular file with a single name (no hard links), and belong to
+    this user or to the owner of its folder. Raises OSError."""
     fd = open_regular(path, flags | os.O_NOFOLLOW)
     try:
         found = os.fstat(fd)
         owners = (os.geteuid(), os.stat(os.path.dirname(path) or ".").st_uid)
-        # The caller may have more rights than the folder's owner, who could have given any file a second name here.
+        # The folder's owner could have linked any file here, and this process may have more rights than that owner.
         if found.st_nlink > 1 or found.st_uid not in owners:
             raise OSError(EPERM, "a file of somebody else's, or with another name: move it away", path)
     except OSError:
@@ -60,11 +61,12 @@ def _check_regular(found: os.stat_result, path: str) -> None:
 
 
 def write_draft(draft: str, data: bytes) -> None:
-    """Write a draft, replacing an old one. Raises OSError, and then leaves none."""
+    """Write a new draft file in place of an old one, and sync it to the disk. If that fails, it removes the draft and
+    raises OSError."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(draft)
     try:
-        # Never through a link, because the caller may have more rights than the folder's owner.
+        # Never write through a link, because this process may have more rights than the folder's owner.
         with open(draft, "xb", opener=lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o644)) as file:
             file.write(data)
             file.flush()
@@ -82,13 +84,14 @@ def write_all(fd: int, data: bytes) -> None:
 
 
 def publish(draft: str, path: str) -> None:
-    """Rename a draft to its final name, replacing the old file. Raises OSError; until the rename the old file stays."""
+    """Rename a draft to its final name, in place of the old file. If the rename fails, the old file stays as it is.
+    Raises OSError."""
     try:
         os.rename(draft, path)
     except OSError:
         _drop(draft)
         raise
-    # Without this, a power cut can still undo the rename.
+    # Sync the folder, because otherwise a power cut can still undo the rename.
     fd = os.open(os.path.dirname(path) or ".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(fd)
@@ -97,8 +100,8 @@ def publish(draft: str, path: str) -> None:
 
 
 def no_room(path: str) -> str:
-    """Why no file can be put on the disk of this path, or of the nearest existing folder above it; empty if it can, or
-    the disk doesn't say."""
+    """Why no new file fits on the disk of this path, as a text. Empty if there is room, or if the disk does not report
+    its free space. If the path does not exist, the nearest existing folder above it counts."""
     while not os.path.exists(path) and path != os.path.dirname(path):
         path = os.path.dirname(path)
     try:
@@ -110,7 +113,7 @@ def no_room(path: str) -> str:
         return f"the disk of {path} is read-only"
     if free < LEAST_ROOM:
         return f"the disk of {path} is full ({free // 1000} kB free)"
-    # A file system that does not count its files reports 0 of 0.
+    # A file system that does not limit the number of files reports 0 of 0.
     return f"the disk of {path} has no room for another file" if found.f_files and not found.f_favail else ""
 
 

@@ -1,4 +1,4 @@
-"""Instances: the names, runtime directories and locks that keep several robots on one machine apart."""
+"""Instances: keeps several robots on one machine apart. Each instance has a name, a runtime directory and a lock."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 STOP_FIELD = "stop "
-"""The begin of the word of a last run that holds a board's stop."""
+"""In the file of the last run, the field with the board's stop begins with this text."""
 LAST_BYTES = 65536
-"""Longer than the longest paths of port and settings file, quoted for a shell."""
+"""The most bytes that are read from the file of the last run. The longest possible paths, quoted for a shell, fit."""
 
 
 class Last(Data):
-    """How the last run of a name was started."""
+    """How the last service of a name was started. The stop tool uses it when no service is running."""
 
     device: str = ""
-    """Its port; empty if this user can see no earlier run."""
+    """The path of its port; empty if this user can't see an earlier run."""
     command: str = ""
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
     board: str = ""
     """The kind of its board; empty if not known."""
     stop: str = ""
-    """The board's stop and baud rate (board/kept.py); empty if not known."""
+    """The stop frames and baud rate of its board (board/kept.py); empty if not known."""
     owner: int = 0
-    """The user whose file says so, who may have written anything into it."""
+    """The uid of the user who owns the file with these values. That user may have written anything into it."""
 
 
 class InstanceError(Exception):
-    """The name or runtime directory can't be used; the message says why and what to do."""
+    """The name or the runtime directory can't be used. The message says why, and what to do."""
 
 
 class NoService(Exception):
@@ -45,71 +45,76 @@ class NoService(Exception):
 
 
 def check_name(name: str) -> str:
-    """Return the name, or raise InstanceError: 1 to 32 of a-z, 0-9, _ and -."""
+    """Return the name if it is valid: 1 to 32 of the characters a-z, 0-9, _ and -. Raises InstanceError for any other
+    name."""
     if not 0 < len(name) <= 32 or not _ALLOWED.issuperset(name):
         raise InstanceError(f"name {name!r}: use 1 to 32 of a-z, 0-9, _ and -")
     return name
 
 
 def option(name: str) -> str:
-    """The option that selects this instance: " --name NAME", or nothing for the default one."""
+    """The text of the option that selects this instance, " --name NAME". Empty for the default instance."""
     return "" if name == DEFAULT_NAME else f" --name {name}"
 
 
 def bases() -> list[str]:
-    """The folders that hold the runtime directories of all instances, the best first."""
+    """The folders that can contain runtime directories, in the order in which they are tried."""
     user = os.getuid()
     session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
     found = [root.at("/run/failstop"), os.path.join(session, "failstop")]
-    # A user without a session, for example in a container, has no private folder. In a shared folder other users may
-    # have been first, and be in the way; never in root's.
+    # Without a session, for example in a container, a user has no private folder, so the last one is in a shared
+    # folder. There another user may have taken the name before. Root never uses that folder.
     return [*found, f"{SHARED}-{user}"] if user else found
 
 
 def places(name: str) -> list[str]:
-    """Where the runtime directory of an instance may be, the best first. Raises InstanceError."""
+    """The paths where the runtime directory of an instance can be, in the order in which they are tried. Raises
+    InstanceError for an invalid name."""
     return [os.path.join(base, check_name(name)) for base in bases()]
 
 
 def _file(name: str) -> Callable[[str], str]:
-    """Where this file is in a runtime directory."""
+    """A function that returns the path of the file `name` in a given runtime directory."""
     return lambda runtime_dir: os.path.join(runtime_dir, name)
 
 
 lock_path = _file("lock")
-"""The file whose first byte the running service locks."""
+"""Path of the lock file. The running service locks its first byte."""
 claims_path = _file("claims")
-"""The file whose bytes clients lock to hold their slots."""
+"""Path of the claims file. Each client locks one of its bytes to hold a client slot."""
 stop_path = _file("stop")
-"""The FIFO that every local user may write to: any bytes are a stop."""
+"""Path of the stop pipe, a FIFO that every local user may write to. Any bytes in it stop the robot."""
 bell_path = _file("bell")
-"""The FIFO by which clients wake the gate."""
+"""Path of the bell, a FIFO with which clients wake the gate."""
 run_path = _file("run")
-"""The file that says which run's shared memory is the service's: its incarnation in RUN_DIGITS hexadecimal digits."""
+"""Path of the file with the incarnation of the running service, in RUN_DIGITS hexadecimal digits. The incarnation is
+part of the names of its shared memory."""
 last_path = _file("last")
-"""The file that says how the last run was started; it stays when the run has ended."""
+"""Path of the file that says how the last service was started. It stays when the service ends."""
 
 
 def _draft_of(path: str) -> str:
-    """Where a file is written before it is renamed."""
+    """The path under which a file is written before it is renamed."""
     return f"{path}.new"
 
 
 def publish_run(runtime_dir: str, incarnation: int) -> int:
-    """Write which run serves this directory; returns the descriptor of that file. Raises OSError."""
+    """Write the incarnation of this run into the runtime directory, so that clients find its shared memory. Returns a
+    descriptor of the file. Raises OSError."""
     return _put(runtime_dir, run_path(runtime_dir), f"{incarnation:016x}\n".encode())
 
 
 def remember(runtime_dir: str, last: Last) -> None:
-    """Keep how this run was started, for after its end. Raises OSError."""
+    """Save how this service was started, so that it is known after the service has ended. Raises OSError."""
     words = last.device, last.command, last.board, f"{STOP_FIELD}{last.stop}", *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
 def last(name: str) -> Last:
-    """How the last run of this name was started, as far as this user may see it. Raises nothing."""
+    """How the last service of this name was started, as far as this user can read it. All fields are empty if nothing
+    is known. Never raises."""
     found: list[tuple[int, int, list[str]]] = []
-    # An impossible name; a file that is missing, or can't be trusted.
+    # An impossible name, a missing file, or a file that can't be trusted.
     with contextlib.suppress(InstanceError):
         for path in map(last_path, places(name)):
             with contextlib.suppress(OSError):
@@ -118,12 +123,13 @@ def last(name: str) -> Last:
         _, owner, (device, command, board, *rest) = max(found)
         stop = rest.pop(0).removeprefix(STOP_FIELD) if rest and rest[0].startswith(STOP_FIELD) else ""
         return Last(device, command if command.isprintable() else "", tuple(map(int, rest)), board, stop, owner)
-    except ValueError:  # nothing was found, or nonsense
+    except ValueError:  # no file was found, or it is damaged
         return Last()
 
 
 def _read(path: str) -> tuple[int, int, list[str]]:
-    """When a file was written (Unix time, ns), whose it is, and the words in it. Raises OSError."""
+    """Read one of these files: when it was written (Unix time, ns), the uid of its owner, and its fields. Raises
+    OSError."""
     fd = place.opened(path, os.O_RDONLY)
     try:
         info = os.fstat(fd)
@@ -133,8 +139,8 @@ def _read(path: str) -> tuple[int, int, list[str]]:
 
 
 def _put(runtime_dir: str, path: str, data: bytes) -> int:
-    """Put a file that everyone may read into a runtime directory, whole or not at all; returns its descriptor. Raises
-    OSError."""
+    """Write a file that everyone may read into a runtime directory, either completely or not at all. Returns a
+    descriptor of the file. Raises OSError."""
     draft = _draft_of(path)
     above = place.directory(runtime_dir)
     fd = -1
@@ -155,7 +161,8 @@ def _put(runtime_dir: str, path: str, data: bytes) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Remove everything a run has put into its directory, its name first, except the lock and how it was started."""
+    """Remove the files of a run from its runtime directory when the run ends. It removes the `run` file first, so that
+    no client finds a service that is ending. The lock and the file of the last run stay."""
     try:
         where = place.directory(runtime_dir)
     except OSError:
@@ -168,7 +175,8 @@ def clear(runtime_dir: str) -> None:
 
 
 def current_run(runtime_dir: str) -> tuple[int, int]:
-    """(incarnation, uid of the owner) of the service in this directory. Raises NoService, InstanceError."""
+    """Return (incarnation, uid of the owner) of the service in this runtime directory. Raises NoService,
+    InstanceError."""
     fd = -1
     try:
         fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
@@ -184,7 +192,7 @@ def current_run(runtime_dir: str) -> tuple[int, int]:
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:
-    """The refusal to start a second service with one name."""
+    """The error if a second service with the same name is started."""
     return InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
 
 
@@ -196,7 +204,7 @@ def find(name: str) -> str:
 
 
 def open_stop(name: str) -> tuple[str, int]:
-    """Open the stop pipe of the running service of this name to write; returns the runtime directory and the
+    """Open the stop pipe of the running service of this name for writing. Returns the runtime directory and the
     descriptor. Raises NoService, InstanceError."""
     doubts = []
     for path in places(name):
@@ -210,16 +218,18 @@ def open_stop(name: str) -> tuple[str, int]:
 
 
 def _unseen(error: Exception, path: str) -> None:
-    """Raise InstanceError where this process has no descriptor left to look: a service may be running."""
+    """Raise InstanceError if the file could not be opened because there are too many open files, because then a service
+    may still be running."""
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         raise InstanceError(f"{path} can't be opened: {error.strerror}") from error
 
 
 def no_service(name: str, doubts: str = "") -> NoService:
-    """The error for a client if no service is running. `doubts`: files that were found but are not trusted."""
+    """The error for a client if no service of this name is running. `doubts`: what is wrong with files that were found
+    but are not trusted."""
     return NoService(f"no service named {name!r} is running: start it with `{start_command(name)}`{doubts}")
 
 
 def start_command(name: str) -> str:
-    """The command line that starts a service of this name in the same way as its last run."""
+    """The command line that starts a service of this name in the same way as last time."""
     return last(name).command or f"failstop run{option(name)}"

@@ -1,9 +1,9 @@
-"""Places: opening files in a runtime directory without trusting anyone else.
+"""Places: opens files in a runtime directory without trusting other users.
 
-A path is only a claim. Every file opened here is checked on its descriptor, and nothing on the way to it was a link.
-The directory belongs to root, to this user, or to a user to whom only root can have given it; nobody else may write to
-it; and the file has the expected kind and the directory's owner. So nobody can plant a directory, a link or a file of
-another kind for somebody else, least of all root, to write through.
+Another user could have put a directory, a link or a different kind of file at the expected path, so that this process
+writes into it. That would be worst if this process runs as root. So every directory and file is checked after it was
+opened. No link is followed. The directory must belong to root, to this user, or to a user to whom only root can have
+given it, and nobody else may write to it. The file must have the expected kind and the same owner as its directory.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Untrusted(OSError):
-    """Another user may have put it there; `strerror` says who, and what helps."""
+    """Another user may have made this file or directory. `strerror` names that user, or the other reason, and the
+    remedy."""
 
     def __init__(self, path: str, why: str) -> None:
         super().__init__(errno.EBADF, f"{path} {why}", path)
 
 
 def user(uid: int) -> str:
-    """A user as people know them: name and number."""
-    import pwd  # imported only for a refusal
+    """A user's name and number, for example `robot (uid 1000)`."""
+    import pwd  # imported only if a file is refused
 
     try:
         return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
@@ -35,7 +36,7 @@ def user(uid: int) -> str:
 
 
 def directory(path: str) -> int:
-    """Open a runtime directory (O_PATH): its parent is checked too. Raises OSError, Untrusted among them."""
+    """Open a runtime directory (O_PATH), after checking it and its parent. Raises OSError, or Untrusted."""
     above, name = os.path.split(path)
     base = base_directory(above)
     try:
@@ -45,18 +46,21 @@ def directory(path: str) -> int:
 
 
 def base_directory(path: str) -> int:
-    """Open the directory in which runtime directories are made. Raises OSError, Untrusted among them."""
+    """Open the folder that contains runtime directories, after checking it. Raises OSError, or Untrusted."""
     return _checked(os.open(path, _DIRECTORY), path)
 
 
 def inner_directory(base: int, name: str, path: str) -> int:
-    """Open the directory `name` inside one that base_directory() has opened; `path` is its path for messages."""
+    """Open the directory `name` inside a directory that base_directory() has opened. `path` is its path for error
+    messages. Raises OSError, or Untrusted."""
     return _checked(os.open(name, _DIRECTORY, dir_fd=base), path, os.fstat(base))
 
 
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
-    """The directory that is open as `fd`, if it belongs to root, to this user, to the base's owner, or to a user to
-    whom only root can have given it. In a sticky base nobody can replace what exists."""
+    """Return `fd` if its directory can be trusted, else close it and raise Untrusted. The directory must belong to
+    root, to this user, to the owner of `base`, or to a user to whom only root can have given it. Others may not write
+    to it, except if it is a `base` with the sticky bit: there nobody can replace another user's files. (`base` is None
+    if the directory itself is the base.)"""
     try:
         found = os.fstat(fd)
         above = base or os.stat("..", dir_fd=fd)
@@ -74,8 +78,9 @@ def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
 
 
 def opened(path: str, flags: int, *, pipe: bool = False) -> int:
-    """Open a file in a runtime directory, or a FIFO (`pipe`); a file that this creates belongs to this user alone (mode
-    0600). Raises OSError, Untrusted among them."""
+    """Open a file in a runtime directory, after checking the directory and the file. `pipe`: True for a FIFO, False for
+    a regular file. If `flags` create the file, only this user may read or write it (mode 0600). Raises OSError, or
+    Untrusted."""
     above, name = os.path.split(path)
     where = directory(above)
     try:

@@ -1,5 +1,5 @@
-"""Root: the directory below which this process finds the machine's own directories, and an instance's directory that
-outlives it."""
+"""Root: the root directory below which this process finds the system directories, and the directory in which an
+instance keeps its files."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping
 
 SYSTEM_BASE = "/var/lib/failstop"
 VARIABLE = "FAILSTOP_ROOT"
-"""Names another root than /, so that a run below it has nothing to do with what is installed, or running, on the
-machine."""
+"""The environment variable that names another root directory than /. A service below it has nothing to do with what is
+installed or running on the machine."""
 
 
 def at(path: str) -> str:
-    """The place of an absolute system path, such as /run/failstop, below the root."""
+    """The path below the root directory for an absolute system path such as /run/failstop."""
     return os.environ.get(VARIABLE, "") + path
 
 
@@ -27,9 +27,10 @@ def state_directory(
     configured: str = "",
     writable: Callable[[str], bool] = _by_this_process,
 ) -> str:
-    """The directory for an instance's files, which may not exist yet: the configured one; systemd's $STATE_DIRECTORY;
-    /var/lib/failstop/NAME if that is writable; else under $XDG_STATE_HOME or ~/.local/state. `writable`: whether the
-    user whose directory it is may write to a folder."""
+    """The directory in which an instance keeps its files after it ends, such as incidents. It may not exist yet. The
+    first of these that applies is used: the `configured` one; systemd's $STATE_DIRECTORY; /var/lib/failstop/NAME if it
+    is writable; or else a folder in $XDG_STATE_HOME or ~/.local/state. `writable`: a function that returns True if the
+    user may write to a folder."""
     if configured:
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:

@@ -1,1 +1,2 @@
-"""Messages: declares each record of shared memory once, with its shape, its place, its writer and its readers."""
+"""Messages: the records in shared memory that the processes exchange. Each is declared once, with its shape, its place,
+the process that writes it and the processes that read it."""

@@ -1,7 +1,8 @@
-"""The black box: the payloads of the rings `box`, in which each process except the stopper keeps about its last minute.
+"""The black box: what each process except the stopper did in about the last minute. It is kept in shared memory, in
+rings named `box`, and saved with each stop. This module has the payloads of these rings.
 
-Each ring is in its writer's own segment, so it outlives the writer, and reading it disturbs nobody. A put is one cell
-of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
+Each ring is in the segment of the process that writes it, so it can still be read when that process has died. Readers
+never delay the writer. Adding an entry is cheap. On the stop path, the bytes of the stop are written first.
 """
 
 from __future__ import annotations
@@ -16,60 +17,65 @@ if TYPE_CHECKING:
     from typing import Any
 
 SECONDS = 60
-"""The time that each ring covers, at its writer's default rates."""
+"""How many seconds each ring covers if its writer runs at its normal rates."""
 GATE_CELLS = 3072
-"""The number of entries in the gate's ring: one for each tick, 50 per second."""
+"""How many entries the gate's ring holds. The gate adds 50 per second, one for each of its ticks."""
 WIRE_CELLS = 4096
-"""The number of entries for bytes on the wire: up to 50 motion frames, 2 pings and a few stops per second. A client
-that drives at 100 Hz fills the ring in 40 s."""
+"""How many entries the ring of bytes for the board holds. Each second there are up to 50 motion frames, 2 pings and a
+few stops. A client that drives at 100 Hz fills the ring in 40 s."""
 BOARD_CELLS = 8192
-"""The number of entries for the board's reports: 110 IMU samples, 20 gamepad frames and a battery reading per
-second."""
+"""How many entries the ring of the board's reports holds. Each second there are 110 IMU samples, 20 gamepad frames and
+one battery reading."""
 ARM_CELLS = 640
-"""The number of entries for the arm: 10 per second while a client moves it, and one at each change."""
+"""How many entries the arm's ring holds. While a client moves the arm there are 10 per second, and one more whenever
+the goal changes."""
 BEATS_CELLS = 768
-"""The number of entries for the beats: 10 per second, and one more at each stop."""
+"""How many entries the ring of the processes' heartbeats holds. There are 10 per second, and one more at each stop."""
 
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
 LATCHED = "estop: "
-"""How the gate's reason for a latched stop begins, also in its record. The reason of the latch follows."""
+"""If a stop is latched, the gate's reason why nothing moves begins with this text. The cause of the latched stop
+follows."""
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
 HELD = "let go first"
 EVERY_BLOCK = (LATCHED, DISABLED, HELD, NO_COMMAND, NO_SCAN)
-"""All blocks. The first one that applies is reported."""
+"""All reasons why nothing moves. If several apply, the gate reports the first one in this list."""
 DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
-"""The gate's decisions. The record has the index."""
+"""The gate's possible decisions. An entry of its ring has the index of one."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
-"""Flags of a tick. DRIVES: the newest command is the one that drives, so it does not wait behind a higher source."""
+"""Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person drives. DRIVES: the newest command moves the
+wheels, because no source with a higher priority has taken over."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
-"""Bytes for the board: the stop burst; one frame, with its first bytes; what the kernel had not taken of either."""
+"""Kinds of entries about bytes for the board. WIRE_BURST: a stop burst. WIRE_FRAME: one frame, with its first bytes.
+WIRE_REST: the remaining bytes of a burst or frame of which the kernel took only a part before."""
 WIRE_HEAD = 39
-"""How many bytes of a frame are kept. A motor frame for four wheels has 27, and steering adds at most 12."""
+"""How many bytes of each frame are kept. A motor frame for four wheels has 27 bytes, and steering adds at most 12."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""The modes of an arm's goal; empty: from now on nobody moves the arm."""
+"""The ways in which an arm can be moved. The empty text means that nobody moves the arm from then on."""
 
 SILENCES = 1
 OWN_BURST = 2
-"""The flag of a burst that the supervisor wrote on its own descriptor, at the time of the entry."""
+"""Marks an entry about a stop burst that the supervisor itself wrote, on its own descriptor. The entry has no other
+value than its time."""
 MOST_U32 = 0xFFFFFFFF
 
 MOST_SPEEDS = 5
-"""The most speeds in a frame for the board. On a steered base the last is the steering angle in rad."""
+"""The most speeds that a frame for the board has. On a steered base the last one is the steering angle in rad."""
 TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
-"""A tick of the gate; unpack_gate() describes it. It has room for the most speeds and says how many it holds, so that
-records need no layout for each board."""
+"""One tick of the gate, with the values that unpack_gate() describes. The entry says how many speeds it has, and always
+has room for the most that any board takes, so the same layout fits every board."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
-"""Bytes for the board: WIRE_BURST or another kind; how many; how many of them the kernel took; the first bytes of a
-frame."""
+"""Bytes for the board: the kind of the entry, how many bytes there were, how many of these the kernel took, and the
+first bytes of a frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
     BATTERY_KIND: records.BATTERY,
@@ -77,8 +83,8 @@ REPORTS: dict[int, Shape] = {
     SERVO_KIND: records.SERVO,
     WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
-"""Reports that telemetry has decoded, by the kind that is their first byte. The IMU's is as published; the speed of
-each wheel is in turns per second, by wire id (NaN: not reported)."""
+"""The shapes of the board's reports, as telemetry has decoded them. The kind is the first byte of the entry. IMU
+samples are as published. Wheel speeds are in turns per second, by wire id (NaN if not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -86,39 +92,40 @@ _AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
-    """The closest value that a four-byte float can hold, because a client's command may be any double. NaN stays
-    NaN."""
+    """The closest value that fits into a four-byte float. This is needed because a client may send any double. NaN
+    stays NaN."""
     return min(max(value, -3e38), 3e38)
 
 
 def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
-    """The record of bytes for the board. `kind`: WIRE_BURST or another; `taken`: how many the kernel took (0: none,
-    because the port was full)."""
+    """Make an entry about bytes for the board. `kind`: WIRE_BURST, WIRE_FRAME or WIRE_REST. `taken`: how many of the
+    bytes the kernel took; 0 if the port was full."""
     return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == WIRE_FRAME else b"")
 
 
 def pack_board(kind: int, *values: float | None) -> bytes:
-    """The record of a report of the board, with the values that REPORTS lists for its kind."""
+    """Make an entry about a report of the board. `values`: the values for this kind, as in REPORTS."""
     return bytes((kind,)) + REPORTS[kind].pack(*values)
 
 
 def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
-    """Return (kind, values) of such a record. Raises ValueError."""
+    """Return (kind, values) of an entry that pack_board() has made. Raises ValueError if it is damaged."""
     if not payload or payload[0] not in REPORTS:
         raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
     return payload[0], REPORTS[payload[0]].unpack(payload[1:])
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """The record of the arm's goal, and of the client that set it. For each servo: where it must end (trajectory) or be
-    now (follow), in pulses, or its rate (jog), in pulses/s."""
+    """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo. The second value is
+    the position at the end (trajectory) or now (follow) in pulses, or the rate (jog) in pulses/s."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
 
 
 def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
-    """Return (mode, who, the goal of each servo). Raises ValueError."""
+    """Return (mode, who, the aim of each servo) of an entry that pack_arm() has made. Raises ValueError if it is
+    damaged."""
     mode, count = _ARM.unpack_from(payload) if len(payload) >= _ARM.size else (255, 0)
     end = _ARM.size + count * _AIM.size
     if mode >= len(ARM_MODES) or len(payload) < end:
@@ -128,8 +135,8 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The record of silences: for each of layout.PROCESS_NAMES the longest one since the last record, and how long ago
-    it was seen."""
+    """Make an entry about heartbeats. For each process of layout.PROCESS_NAMES it has the longest time without a
+    heartbeat since the last entry, and how long ago that was, both in microseconds."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
@@ -137,9 +144,13 @@ OWN_BURST_RECORD = bytes((OWN_BURST,))
 
 
 def unpack_gate(payload: bytes) -> dict[str, Any]:
-    """A tick of the gate: epoch, block (a word of DECISIONS), enabled, manual, drives, commands (since the tick
-    before), age_us (None: no command yet), command, velocity, wheels_rps (by wire id), source, who. Raises
-    ValueError."""
+    """The values of one tick of the gate, by name. Raises ValueError if the entry is damaged.
+
+    `block` is one of DECISIONS. `commands` counts the commands since the tick before. `age_us` is the age of the newest
+    command; None if there was no command yet. `command` is the velocity that was asked for, and `velocity` the one that
+    the gate commands. `wheels_rps` has the wheel speeds in turns per second, by wire id. `source` and `who` say who
+    commands.
+    """
     epoch, block, flags, commands, speeds, age_us, *numbers, source, who = TICK.unpack(payload)
     return {
         "epoch": epoch,
@@ -158,7 +169,8 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) for each of layout.PROCESS_NAMES; empty for a burst. Raises ValueError."""
+    """Return (silent_us, before_us) for each process of layout.PROCESS_NAMES, as pack_beats() got them. Empty if the
+    entry is about a burst of the supervisor. Raises ValueError if it is damaged."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)

@@ -1,4 +1,5 @@
-"""Packing: msgpack for the service's own records, with one small buffer per process, and the notes made with it."""
+"""Packing: turns values into msgpack for shared memory, with one small buffer per process. It also defines the notes
+that the gate and telemetry send to people."""
 
 from __future__ import annotations
 
@@ -14,15 +15,16 @@ Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
 NEXT_STEP = "; next: "
-"""The text that comes before the next step in a text for people."""
+"""In a text for people, the next step to take follows these words."""
 
-# msgpack.packb allocates 1 MB at every call, so a process that is out of memory would die of a note.
+# Not msgpack.packb, which allocates 1 MB at every call. A process that is short of memory could die of that.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
-"""The bytes of a value. Not thread-safe. Raises TypeError, ValueError, OverflowError."""
+"""Return a value as msgpack bytes. Not thread-safe. Raises TypeError, ValueError, OverflowError."""
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""To how many bytes the text and each field are cut. The first pair with which the note fits into the ring is used."""
+"""How many bytes of the text, and of each field, are kept in a note. If the note is too long with the first pair of
+lengths, the second pair is used."""
 
 
 def fitting(
@@ -32,8 +34,9 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """Combine text and fields with `whole` and pack them into `room` bytes. Texts are cut as little as possible, and
-    fields that still don't fit are left out."""
+    """Pack a text and its fields into at most `room` bytes. `whole` combines the two into one value. `cuts` has pairs
+    of the longest text and the longest field, in bytes; the first pair that fits is used. If none fits, all fields are
+    left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {
@@ -46,10 +49,10 @@ def fitting(
 
 
 class Note(Data):
-    """A note for people, on its way from gate or telemetry to the supervisor's events.
+    """A note for people, which the gate or telemetry sends to the supervisor. The supervisor makes an event of it.
 
-    As bytes it is a msgpack list: kind (supervisor/kinds.py), level (empty: the kind's own), text, next step (may be
-    empty), fields.
+    As bytes it is a msgpack list of: kind (supervisor/kinds.py), level (empty for the usual level of this kind), text,
+    next step (may be empty), fields.
     """
 
     kind: str
@@ -59,13 +62,13 @@ class Note(Data):
     step: str = ""
 
     def pack(self) -> bytes:
-        """The bytes for a ring of NOTE_BYTES."""
+        """The note as at most NOTE_BYTES bytes."""
         head, step = (self.kind, self.level), cut(self.step, STEP_BYTES).decode()
         return fitting(NOTE_BYTES, NOTE_CUTS, self.text, self.fields, lambda text, fields: (*head, text, step, fields))
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:
-        """The note in these bytes. Raises ValueError if they are damaged."""
+        """Read the note in these bytes. Raises ValueError if they are damaged."""
         found = msgpack.unpackb(payload)
         if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, str, dict]:
             raise ValueError("a payload that is no note")

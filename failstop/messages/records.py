@@ -1,6 +1,8 @@
-"""Records: the payloads with a fixed shape, each declared once: its values, and how they become bytes and back.
+"""Records: declares each payload in shared memory that has a fixed shape, with its values, and converts it to bytes and
+back.
 
-Payloads with a variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
+Payloads with a variable shape are msgpack maps, and the process that writes one also defines it. These are the gate's
+state, the process table, and the last stop as people see it.
 """
 
 from __future__ import annotations
@@ -21,31 +23,33 @@ if TYPE_CHECKING:
     Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
-"""Kinds of frames. MOTION: a motor frame; only the newest counts, and it expires with its epoch and the lease.
-WRITE_BURST: the stop burst, now. OTHER: any frame that is not motion, in order. ARM: a frame for the arm's servos, in
-order; it expires as motion does."""
+"""Kinds of frames from the gate. MOTION is a motor frame. Only the newest one counts, and it is refused once its epoch
+or the lease is over. WRITE_BURST tells the port owner to write the stop burst now. OTHER is any frame that doesn't move
+anything; such frames are sent in order. ARM is a frame for the arm's servos; these are sent in order too, and refused
+as motion is."""
 ASKED_BYTES = 180
-"""How many bytes the reason of a stop request may take, in UTF-8. Together with the asker's name they fit a record."""
+"""The longest reason of a stop request, in bytes of UTF-8. With the name of the program that asks, it fits into a
+record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""How the asker's name begins if somebody has stopped the whole fleet and this robot's publisher passed the request
-on."""
+"""If somebody stops the whole fleet, this text comes before their name in the stop request that the robot's fleet
+publisher passes on."""
 CAUSE = "{cause}"
-"""Stands for the text of the cause in the text of a reply."""
+"""In the text of a reply, the text of the cause replaces this placeholder."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""How a reason ends if it was cut."""
+"""A reason that was cut ends with this text."""
 
 NOBODY = 0
-"""A session number that no client has."""
+"""A session number that no client ever has."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
 SAID_BYTES = 190
 WIRE_BYTES = 260
-"""The longest frame on the wire."""
+"""The longest frame that can be written to the board, in bytes."""
 CAUSE_BYTES = 282
-"""The size of a packed cause (failstop/policy/causes.py)."""
+"""The most bytes that a packed cause has (failstop/policy/causes.py)."""
 
 PORT_CLOSED, PORT_OPEN, PORT_LOST = range(3)
 PORT_STATES = ("closed", "open", "lost")
@@ -53,16 +57,16 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, ARM_READ, LIMIT = range(1, 11)
 
 REFUSED, DONE, UNDER_WAY = range(3)
-"""The kinds of replies. After UNDER_WAY another reply follows."""
+"""The kinds of replies to a request. After UNDER_WAY, another reply follows."""
 FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS = 1, 2, 3
-"""The reasons of a refusal: a latched stop, whose cause is given; an interlock, whose text is given; or that the wheels
-may turn."""
+"""Why a request was refused. FOR_THE_LATCH: a stop is latched; the reply has its cause. FOR_AN_INTERLOCK: an interlock
+does not hold; the reply has its text. FOR_THE_WHEELS: the wheels may turn."""
 ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
 MOST_REPORTED = 4
-"""The most wheels of a board that reports the command it obeys."""
+"""The most wheels of a board that reports which command it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -70,8 +74,9 @@ PAD_MODES = ("locked", "drive", "joint")
 
 
 class Tail(Data):
-    """The part after the numbers: how its values become bytes and back (ValueError if the bytes don't fit), and how
-    many bytes it has at most and at least."""
+    """The part of a payload that comes after its fixed numbers. `pack` turns the values into bytes, and `unpack` does
+    the reverse; it raises ValueError if the bytes don't fit. `most` and `least` say how many bytes the part can
+    have."""
 
     pack: Callable[..., bytes]
     unpack: Callable[[bytes], tuple[Any, ...]]
@@ -83,9 +88,9 @@ NOTHING = Tail(bytes, lambda data: (), 0)
 
 
 class Shape:
-    """Numbers in the notation of `struct`, followed by the tail's values. `pack` takes what `unpack` returns. `unpack`
-    raises ValueError for bytes of another shape, so that a reader treats them as damage. `most`: the largest size in
-    bytes."""
+    """The shape of a payload: fixed numbers in the notation of `struct`, and then a tail of variable length. `pack` and
+    `unpack` use the same values in the same order. `unpack` raises ValueError for bytes that don't have this shape, so
+    that damaged bytes are noticed. `most`: the largest size in bytes."""
 
     __slots__ = ("_count", "_numbers", "_tail", "most", "pack")
 
@@ -98,14 +103,14 @@ class Shape:
 
     @property
     def form(self) -> str:
-        """Its numbers in the notation of `struct`."""
+        """The fixed numbers in the notation of `struct`."""
         return self._numbers.format
 
     def _pack_with_tail(self, *values: Any) -> bytes:
         return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
 
     def unpack(self, payload: bytes) -> tuple[Any, ...]:
-        """The values of these bytes. Raises ValueError."""
+        """Return the values in these bytes. Raises ValueError if the bytes don't have this shape."""
         size, tail = self._numbers.size, self._tail
         if not size + tail.least <= len(payload) <= self.most:
             raise ValueError(f"payload of {len(payload)} bytes, {size + tail.least} to {self.most} expected")
@@ -115,7 +120,7 @@ class Shape:
 if TYPE_CHECKING:
 
     class Payload(Shape, Generic[Unpack[Values]]):
-        """A shape with these value types, for the type checker."""
+        """A Shape whose values have these types. Only the type checker uses it."""
 
         pack: Callable[[Unpack[Values]], bytes]
 
@@ -126,23 +131,25 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """A word that names a process to watch: its pid, and the block of futexes that it holds."""
+    """Combine a process's pid and the number of the block of futexes that it holds into one word. With this word
+    another process can watch it."""
     return block << 32 | pid
 
 
 def unpack_life(word: int) -> tuple[int, int]:
-    """Return (pid, block)."""
+    """Return (pid, block) of a word that life() has made."""
     return word & 0xFFFFFFFF, word >> 32
 
 
 def printable(text: str) -> str:
-    """Another program's text in a form that is safe to show: unprintable characters become question marks."""
+    """Another program's text, with unprintable characters replaced by question marks, so that it is safe to show."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
-    """The line for the stop pipe: the reason, cut to ASKED_BYTES, the asker's name and pid, separated by tabs. `row`:
-    the name of the cause that the reason belongs to, if the client knows one."""
+    """Make the line that requests a stop through the stop pipe. It has the reason, cut to ASKED_BYTES, and the name and
+    pid of the program that asks, separated by tabs. `row`: the name of the cause that the reason belongs to; empty if
+    the program knows none."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
@@ -152,7 +159,7 @@ def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
 
 
 def cut(text: str, room: int) -> bytes:
-    """A text in at most `room` bytes of UTF-8. It is cut between characters."""
+    """Return a text as at most `room` bytes of UTF-8. A longer text is cut between two characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
 
 
@@ -168,7 +175,7 @@ def rest(most: int) -> Tail:
 
 
 def _text(room: int) -> Tail:
-    """A text, cut to `room` bytes."""
+    """A tail with one text, which is cut to `room` bytes."""
     return Tail(lambda text: cut(text, room), lambda data: (data.decode("utf-8", "replace"),), room)
 
 
@@ -259,7 +266,8 @@ _COUNTS = struct.Struct("<BH")
 _DOUBLE = struct.Struct("<d")
 
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
-"""An entry of the gate's ring: epoch, kind, body. MOTION and OTHER carry a frame for the wire, WRITE_BURST nothing."""
+"""A frame in the gate's ring: epoch, kind, bytes. MOTION, OTHER and ARM contain a frame for the board; WRITE_BURST
+contains nothing."""
 WROTE: Payload[int, tuple[float, ...]] = Payload(
     "<B",
     Tail(
@@ -268,18 +276,21 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
         MOST_REPORTED * _DOUBLE.size,
     ),
 )
-"""Something written that the board answers or echoes: the index of a ping; or COMMANDED (failstop/board/handled.py) and
-the speeds that the board will report."""
+"""Something that was written and that the board will answer or echo. It is the index of a ping; or COMMANDED
+(failstop/board/handled.py), with the speeds that the board will report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""The board has handled everything that was written until the first time; it reported that at the second time (ns)."""
+"""Two times in ns. The board has handled everything that was written until the first time, and its report about that
+came at the second time."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), and its cause,
-packed."""
+"""A stop: its epoch; when it was noticed (ns); when its burst was passed to the kernel (ns; 0 if it was not); and the
+packed cause."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""The latch: the epoch raised for the latched stop (0: nothing is latched), when that stop was noticed, when the epoch
-was last raised, and the latched cause, packed; if nothing is latched, the last stop's cause."""
+"""The latch: the epoch of the latched stop (0 if nothing is latched); when that stop was noticed (ns); when the epoch
+was last raised (ns); and the packed cause of the latched stop. If nothing is latched, it is the cause of the last
+stop."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
-"""The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another state, and its path."""
+"""The port: its number in this run; since when it has been in its state (ns); that state, such as PORT_OPEN; and its
+path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     "<Q3d?",
     Tail(
@@ -289,25 +300,26 @@ COMMAND: Payload[int, float, float, float, bool, str] = Payload(
         least=SOURCE_BYTES,
     ),
 )
-"""A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
-counter-clockwise), whether a person drives, and the source. The source is never cut, because a cut name could be
-another source."""
+"""A velocity command: the client's session, vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise), True if a
+person drives, and the source. The name of the source is never cut, because a shorter name could be another source."""
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""What a client session asserts: names of interlocks, never cut; or no names, for "the sensor delivered"."""
+"""What a client asserts: its session, and names. They are names of interlocks, or the name of an operator, and are
+never cut. Without names, the record says that the obstacle sensor has delivered a reading."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
-"""A client's report about itself: what it sees, and what is wrong (may be empty)."""
+"""A client's report about itself: its session, what it sees, and what is wrong (may be empty)."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""The holder of a client slot: a random session number, its pid, its pid namespace, its name."""
+"""The client that holds a slot: a random session number, its pid, its pid namespace, its name."""
 GOODBYES = 64
 LEFT = Shape(f"<{GOODBYES}Q")
-"""The sessions that have left a client slot, the last one first, because many may come and go between two looks of the
-gate."""
+"""The sessions that have left a client slot, the newest first. Many are kept, because many clients may come and go
+before the gate looks again."""
 
 
 def goodbye(session: int, before: bytes) -> bytes:
-    """The goodbye of a session, put before the earlier ones."""
+    """Put the session that leaves in front of those that have left before. `before`: the bytes of the old LEFT
+    record."""
     try:
         earlier = LEFT.unpack(before)
     except ValueError:
@@ -316,93 +328,101 @@ def goodbye(session: int, before: bytes) -> bytes:
 
 
 ANSWER_WITHIN_NS = 1_000_000_000
-"""How long a client waits for the answer to a request, unless it sets another time (Robot, `answer_s`)."""
+"""How long a client waits for the answer to a request, in ns, unless the program chooses another time (`answer_s` of
+Robot)."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
-"""A client session's request: its number, which the reply repeats, and its verb, ENABLE or another."""
+"""A client's request: its session, the number of the request, which the reply repeats, and what it asks for, such as
+ENABLE."""
 AUX: Payload[int, bytes] = Payload("<Q", rest(WIRE_BYTES))
-"""A client's frame for the wire that is not motion: one of the board's questions, or a frame that the board's
-check_aux() allows."""
+"""A client's frame for the board that moves nothing: the session, and one of the board's questions or another frame
+that the board's check_aux() allows."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
-"""The speed limit of a session's request, in percent of the settings' speeds."""
+"""The speed limit that a client's request is about: its session, and the limit in percent of the settings' speeds."""
 SEEN: Payload[int, int] = Payload("<QQ")
-"""The newest epoch that the person who asks for a reset has seen; 0: that is not known."""
+"""A client's session, and the newest epoch that the person who asks for a reset has seen (0 if that is not known)."""
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK,
-FOR_THE_WHEELS or 0 (refused for another reason, or not refused); the text; and the packed cause that CAUSE in the text
-stands for."""
+"""The reply to a client's request. Its values are the client's session; the number of the request; DONE, REFUSED or
+UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 for another reason or none; the text; and the packed
+cause whose text replaces CAUSE in the text."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
-"""A session's goal for the arm, renewed again and again: ARM_FOLLOW with the angle (rad) of each servo's joint, or
-ARM_JOG with its rate (rad/s)."""
+"""What a client wants the arm to do, repeated again and again: its session, ARM_FOLLOW or ARM_JOG, and a value for each
+servo. For ARM_FOLLOW the value is the angle of the servo's joint (rad), for ARM_JOG its rate (rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )
-"""A session's trajectory: the share of the joints' speeds it may use, the servos (MOST_JOINTS at most), and the rows
-(MOST_ROWS at most), each with a time (s; 0 in the first row: as fast as allowed) and the angles (rad) of these servos'
-joints."""
+"""A client's trajectory for the arm: its session, the share of the joints' speeds that it may use, the servos (at most
+MOST_JOINTS), and the rows (at most MOST_ROWS). Each row has a time (s) and the angles of these servos' joints (rad). A
+time of 0 in the first row means as fast as allowed."""
 OF_SESSION: dict[str, Shape] = {
     "command": COMMAND,
-    "sensed": ASSERTED,  # its time is that of the obstacle sensor's last delivery
-    "interlocks": ASSERTED,  # the conditions that this client says hold, at its time
-    "attended": ASSERTED,  # the operator who was present at its time; 0: that operator has left
+    "sensed": ASSERTED,  # written when the obstacle sensor has delivered; the time is the reading's
+    "interlocks": ASSERTED,  # the interlocks that held at the time of the record
+    "attended": ASSERTED,  # the operator present at the time of the record; time 0: the operator has left
     "request": REQUEST,
-    "speed_limit": SPEED_LIMIT,  # the limit that a request is about
-    "seen": SEEN,  # the newest stop known to the person who asks for a reset
-    "said": SAID,  # one line: what the client sees and what is wrong
-    "arm_goal": ARM_GOAL,  # follow or jog, renewed
-    "arm_path": ARM_PATH,  # the trajectory that a request is about
-    "aux": AUX,  # a frame for the wire that is not motion
+    "speed_limit": SPEED_LIMIT,  # the limit that a request asks for
+    "seen": SEEN,  # the newest stop that the person who asks for a reset has seen
+    "said": SAID,  # what the client sees, and what is wrong
+    "arm_goal": ARM_GOAL,  # follow or jog, repeated again and again
+    "arm_path": ARM_PATH,  # the trajectory that a request asks for
+    "aux": AUX,  # a frame for the board that moves nothing
 }
-"""The records that a client writes into its slot after its hello. Each begins with its session."""
+"""The records that a client writes into its slot after HELLO. The first value of each is the client's session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
-"""A bus servo's answer: the servo, the question (board/servos.py), and the value; None: it did not answer."""
+"""A bus servo's answer: the servo, the question (board/servos.py), and the value; None if the servo did not answer."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
-"""A sample of the IMU: acceleration (m/s2), then turn rate (rad/s), each x forward, y left, z up."""
+"""A sample of the IMU: acceleration (m/s2) and then turn rate (rad/s), each x forward, y left, z up."""
 RATE_VARIANCE = 0.0012**2
-"""The variance that is published with a turn rate, (rad/s)^2. At rest the gyro's standard deviation is 0.0007 to 0.0011
-rad/s (measured)."""
+"""The variance that is published with a turn rate, (rad/s)^2. Measured at rest, the gyro's standard deviation is 0.0007
+to 0.0011 rad/s."""
 BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
-"""The gyro's bias (rad/s on x, y, z), whether it follows the reading now, whether a calibration ever found it."""
+"""The gyro's bias (rad/s on x, y, z); True if the bias follows the readings at present; and True if a calibration has
+found it."""
 ODOMETRY_FROM = ("commands", "wheels")
 BY_COMMANDS, BY_ROLLING = range(len(ODOMETRY_FROM))
 ODOMETRY = Shape("<8dB6d")
-"""Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the twist's standard
-deviation: m/s for vx and vy, rad/s for wz; the source of both, an index of ODOMETRY_FROM; the covariance of the pose:
-xx, xy, x th, yy, y th, th th. Its time is that of the wheels' newest report, or now if it comes from commands."""
+"""The robot's pose since the start: x m, y m, th rad. Then its velocity in its own frame: vx m/s, vy m/s, wz rad/s.
+Then the standard deviation of the velocity: m/s for vx and vy, rad/s for wz. Then where both come from, as an index of
+ODOMETRY_FROM. Last the covariance of the pose: xx, xy, x th, yy, y th, th th.
+
+The record's time is that of the wheels' newest report. If the pose comes from commands, it is the time of writing.
+"""
 POSE_VARIANCE = 1e3
-"""The variance that is published with a pose from commands, m^2 for x and y, rad^2 for th. It is huge, because dead
-reckoning can't be trusted."""
+"""The variance that is published with a pose that comes from commands: m^2 for x and y, rad^2 for th. It is huge,
+because such a pose can't be trusted."""
 MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
 WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
-"""What is known about the wheels: an index of WHEELS_DO, and of WHEELS_BY (the observer); whether they turn although
-they were told zero for longer than still.after_s; how many wheels are reported; since when it is so, and the newest
-reading (both ns, 0: never); then the measured speed of each wheel in turns per second, by wire id, and how far each has
-turned (NaN: not reported)."""
+"""What is known about the wheels. Its values are an index of WHEELS_DO; an index of WHEELS_BY, the observer; True if
+the wheels turn although they were told zero for longer than the setting still.after_s allows; the number of wheels that
+are reported; since when this has been so, and the time of the newest reading (both in ns; 0: never). Then follow the
+measured speed of each wheel in turns per second, by wire id, and how many turns each has made (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
-"""A reading of the wheels that is older than this says nothing about now."""
+"""A reading of the wheels that is older than this, in ns, says nothing about the present."""
 BATTERY: Payload[int, int] = Payload("<IB")
-"""The battery's voltage in mV, and whether the charger is plugged in: an index of PLUGGED."""
+"""The battery's voltage in mV, and an index of PLUGGED, which says if a charger is plugged in."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * _SERVO_HEALTH.size))
-"""What servos report about themselves: the id, load (-1 to 1, sent in percent), temperature (degrees Celsius; 0: not
-reported yet) and errors of each."""
+"""What the servos report about themselves. For each servo: its id, its load (-1 to 1, stored in percent), its
+temperature (degrees Celsius; 0 if not reported yet) and its errors."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
-"""The gamepad's last frame: a bit per button, the hat, axes lx, ly, rx, ry from -128 to 127; an index of PAD_MODES."""
+"""The gamepad's last frame: one bit per button, the hat, the axes lx, ly, rx, ry from -128 to 127, and an index of
+PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
-"""The velocity commanded by the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
+"""The velocity that the gamepad's sticks command: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")
-"""The gamepad's command for the arm: a joint, by its place in the settings, and a share of its speed, -1 to 1."""
+"""The gamepad's command for the arm: the index of a joint in the settings, and the share of its speed, -1 to 1."""
 PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
-"""A request of telemetry to the gate: PAD_RESET, or PAD_FRAME with a frame for the wire that is not motion."""
+"""A request of the gamepad, which telemetry passes to the gate: PAD_RESET; or PAD_FRAME, with a frame for the board
+that moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with this number, from the port owner's record; PORT_CLOSED if the record is about another
-    port."""
+    """The state of the port with this number, such as PORT_OPEN. `entry`: the port owner's record. Returns PORT_CLOSED
+    if the record is about another port."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

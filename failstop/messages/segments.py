@@ -1,10 +1,11 @@
-"""The segments of a run: POSIX shared memory objects, which are files on Linux. The supervisor creates them; other
-processes attach.
+"""Segments: the blocks of POSIX shared memory of a running service, which are files on Linux. The supervisor makes
+them, and the other processes attach to them.
 
-Everyone may write to /dev/shm. So each run has names that nobody can know in advance (`memory`: the instance's name and
-the run's incarnation), which only the runtime directory reveals (instance.run), and a segment must prove to be the
-service's own: attaching checks the owner, then size, magic, layout and the run's incarnation, and refuses with a
-message that says what to do. A restart of the service makes new segments; nothing is ever repaired.
+Every user may write to /dev/shm, so another user could put files there in advance. For this reason the names contain a
+random number, the run's incarnation, which only the runtime directory reveals (its file `run`). A process also checks
+each segment when it attaches to it: first the owner, then size, magic number, layout and incarnation. If one of them is
+wrong, it refuses the segment with a message that says what to do. A damaged segment is never repaired, because a
+restart of the service makes new ones.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ SHM = "/dev/shm"
 MAGIC = b"failstop"
 _FLAGS = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
 SEGMENT_HEADER = struct.Struct("<8sQQQ16sQ24s")
-"""Magic, layout, size, incarnation, name, the part of the layout that the C library knows, version."""
+"""The header of a segment: magic number, hash of the layout, size, incarnation, name, hash of the layout that the C
+library knows, version."""
 _HEADER_SEED = cell.seed("header", 0)
 
 
 class AttachError(Exception):
-    """A segment was refused; the message says why and what to do. `kind`: absent, permission, owner, damaged, version,
-    or descriptors (this process has none left)."""
+    """A segment was refused. The message says why, and what to do. `kind` is absent, permission, owner, damaged,
+    version, or descriptors (this process can open no more files)."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -41,7 +43,7 @@ class AttachError(Exception):
 
 
 def memory(instance: str, incarnation: int) -> str:
-    """The name that all segments of a run share."""
+    """The name that all segments of one run of the service share: the instance and the incarnation of the run."""
     return f"{instance}.{incarnation:016x}"
 
 
@@ -50,8 +52,9 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Create a segment of this run. Only the run's supervisor does this; it holds the lock on its own segment for as
-    long as it lives. Raises AttachError, and then leaves nothing behind."""
+    """Make a segment for this run. Only the supervisor does this. While the supervisor lives, it holds a lock on its
+    own segment, so that other processes can see if it is alive. Raises AttachError, and then leaves no segment
+    behind."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         fd = _make(path)
@@ -60,7 +63,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
     try:
         if name == SUPERVISOR:
             claim.acquire(fd, 0)
-        # Reserve the memory now; otherwise the first touch could be a SIGBUS.
+        # Reserve the memory now. If there is not enough, a later access would kill the process with SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
         header = SEGMENT_HEADER.pack(
             MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), CLIENT_HASH, VERSION.encode()
@@ -80,10 +83,11 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """A new shared memory object, as its descriptor. Without posix-ipc, which has no wheel for Python 3.14, this makes
-    the call that shm_open() of glibc makes. Raises OSError."""
+    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. There is no
+    wheel of posix-ipc for Python 3.14, so without it this makes the same system call as glibc's shm_open(). Raises
+    OSError."""
     try:
-        import posix_ipc  # here alone: a process that attaches loads nothing for it
+        import posix_ipc  # imported only here, so that processes that only attach don't load it
     except ModuleNotFoundError:
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o600)
     try:
@@ -94,8 +98,7 @@ def _make(path: str) -> int:
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove a segment's name. It does not matter if the name is gone already or belongs to another user, because
-    nobody needs it again."""
+    """Remove the name of a segment. It ignores errors, because nobody needs the name again, even if it still exists."""
     with contextlib.suppress(OSError):
         os.unlink(path_of(memory, name))
 
@@ -106,33 +109,33 @@ def unlink_all(memory: str) -> None:
 
 
 def living(memory: str) -> bool:
-    """True while this run's supervisor is alive."""
+    """True if the supervisor of this run is alive."""
     try:
         fd = os.open(path_of(memory, SUPERVISOR), os.O_RDONLY | _FLAGS)
     except OSError:
         return False
     try:
         return lives(fd)
-    except OSError:  # not a regular file
+    except OSError:  # the path is not a regular file
         return False
     finally:
         os.close(fd)
 
 
 def open_life(memory: str, owner: int) -> int:
-    """A descriptor for several calls of lives(). Raises AttachError."""
+    """Open the supervisor's segment, and return a descriptor for lives(). Raises AttachError."""
     return _open(memory, SUPERVISOR, False, owner)
 
 
 def lives(fd: int) -> bool:
-    """True while the run's supervisor is alive: it holds the lock on its segment from the moment it has made it, and
-    other users may only read that file. `fd`: a descriptor of it. One system call without a pid, so it works in every
-    container. Raises OSError if this is not a regular file."""
+    """True if the supervisor of this run is alive. The supervisor holds a lock on its segment, which other users may
+    only read. `fd`: a descriptor of that segment. This takes one system call and uses no pid, so it works in every
+    container. Raises OSError if `fd` is not a regular file."""
     return claim.held(fd, 0, by_writer=True)
 
 
 def version(memory: str) -> str:
-    """The version of failstop that made a run's segments; empty if it can't be read."""
+    """The version of failstop that made the segments of a run. Empty if it can't be read."""
     try:
         with open(path_of(memory, SUPERVISOR), "rb") as file:
             header = _header(file.read(HEADER_BYTES))
@@ -142,7 +145,8 @@ def version(memory: str) -> str:
 
 
 def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
-    """Layout, size, incarnation, name and version from a segment's first bytes; None if they are no header."""
+    """Return layout, size, incarnation, name and version from the first bytes of a segment. None if they are not a
+    valid header."""
     entry = cell.check(raw, _HEADER_SEED)
     if entry is None or len(entry[2]) != SEGMENT_HEADER.size or not entry[2].startswith(MAGIC):
         return None
@@ -155,7 +159,8 @@ def _version(told: bytes) -> str:
 
 
 def dead_runs(instance: str) -> list[str]:
-    """The runs of this name and user that have ended and left segments, by their `memory`, the newest last."""
+    """The runs of this instance and user that have ended but have left segments, the newest last. Each is given by the
+    name that its segments share, see memory()."""
     found: dict[str, int] = {}
     prefix = f"failstop.{instance}."
     for file in os.listdir(SHM):
@@ -171,11 +176,12 @@ def dead_runs(instance: str) -> list[str]:
 
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
-    """Attach a segment to read, or to write if this process is its declared writer.
+    """Attach to a segment. With `write` it can be written, which only its declared writer may do.
 
-    It is mapped, except where several processes write it (clients, or the lifelines' holders): those are accessed
-    through the file, so that truncating it causes no SIGBUS. `incarnation` is the expected run; None takes the one that
-    exists. `owner`: the uid of the service; -1: this process's. Raises AttachError.
+    Most segments are mapped into memory. If several processes write a segment (clients, or the holders of lifelines),
+    it is accessed through its file instead, because a mapped file that somebody truncates kills the process with
+    SIGBUS. `incarnation`: the expected run; None to accept any. `owner`: the uid of the service; -1 for this process's
+    user. Raises AttachError.
     """
     spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)
@@ -195,8 +201,9 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """A client's segment as the service reads it, by records that carry the incarnation in their CRC, because clients
-    may have scribbled over its header. A segment whose name was removed counts as unused: it is always empty."""
+    """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so it is
+    not checked. The CRC of each record includes the incarnation instead. If the name of the segment was removed, the
+    segment counts as always empty."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
@@ -206,8 +213,8 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
 
 
 def open_all(memory: str) -> dict[str, int]:
-    """Read-only descriptors of the processes' segments, by name, for those that exist. They can be read even after the
-    names are removed. Only this user's files."""
+    """Open the segments of all processes of a run for reading, as far as they exist and belong to this user. Returns
+    the descriptors by process name. They can still be read after the names of the segments were removed."""
     found = {}
     for name in layout.PROCESS_NAMES:
         try:
@@ -218,13 +225,13 @@ def open_all(memory: str) -> dict[str, int]:
 
 
 def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
-    """A private copy of the whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
+    """Copy the whole segment that is open as `fd`. Returns (incarnation, bytes). Raises AttachError."""
     return _check_header(fd, memory, SEGMENT_BY_NAME[name], None), os.pread(fd, SEGMENT_BY_NAME[name].size, 0)
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
-    """A segment's descriptor. A pipe in its place does not block. Raises OSError, or place.Untrusted (not
-    `owner`'s)."""
+    """Open a segment's file, and return the descriptor. It never waits, even if there is a pipe at that path. Raises
+    OSError, or place.Untrusted if the file does not belong to `owner`."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _FLAGS)
     found = os.fstat(fd)
@@ -256,12 +263,12 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
 
 
 def _described(memory: str, name: str) -> str:
-    """How messages name this segment."""
+    """The name of this segment in messages to people."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 
 def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
-    """Return the segment's incarnation, or raise AttachError."""
+    """Check a segment's header, and return the segment's incarnation. Raises AttachError."""
     header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _described(memory, spec.name)
     if header is None:
         raise AttachError("damaged", f"{where} has an incomplete header: restart the service")

@@ -1,10 +1,14 @@
-"""Keys: from the bytes of a terminal to the velocity that a held key asks for. Pure: the time is an argument.
+"""Keys: turns the bytes from a terminal into the velocity for the key that is held. Pure, because the time is an
+argument.
 
-A terminal sends the bytes of a key, again and again while it is held, and nothing when it is released; of several keys
-it repeats the last one alone. A command goes out with each of these and counts for the service's command timeout
-(0.3 s); nothing else keeps the wheels turning. So whatever ends the bytes - the key's release, a dead connection, a
-stopped program - ends the driving. A press drives for one command timeout, then the wheels stand until the terminal's
-repeats begin (after 250 to 660 ms): a tap is a nudge, and a release counts from the last repeat on.
+A terminal sends a key's bytes again and again while the key is held, and nothing when it is released. If several keys
+are held, it repeats only the last one. Each repeat becomes one command, which the service accepts as valid for its
+command timeout (0.3 s). Nothing else keeps the wheels turning. So when the bytes end, the driving ends, for example
+because the key is released, the connection is lost, or a program is suspended.
+
+If you press a key, the robot drives for one command timeout. Then the wheels stop until the terminal begins to repeat
+the key (after 250 to 660 ms). So a tap moves the robot a little. When you release a key, the timeout counts from its
+last repeat.
 """
 
 from __future__ import annotations
@@ -16,19 +20,22 @@ SPACE = " "
 CTRL_D = "\x04"
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _PASTED = {"200": True, "201": False}
-"""Marks of what is pasted, its begin and its end, by a terminal that has been asked for them."""
+"""The sequences that a terminal sends before (True) and after (False) pasted text, if it was asked to mark pasted
+text."""
 _LONGEST = 64
-"""No sequence is longer; what looks like one is noise."""
+"""No escape sequence is longer than this many characters. Something longer is noise."""
 _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=[^\[O]))", re.DOTALL)
-"""`CSI parameters final`, which something else may cut off; an arrow of the application mode; a character."""
+"""Matches one of three things: a sequence `CSI parameters final`, which may be cut off by another character; an arrow
+key in application mode; or a single character."""
 
 Velocity = tuple[float, float, float]
 
 
 class KeyDecoder:
-    """Bytes in, keys out: a character in lower case, or the name of an arrow. Half a sequence waits for the rest,
-    however long: the end of an arrow key's is a letter, and that alone would be a key that moves something else. So the
-    escape key is told with the key after it."""
+    """Decodes a terminal's bytes into keys. A key is a character in lower case or the name of an arrow, such as `up`.
+    Half an escape sequence waits for its rest, for any time. Otherwise the last letter of an arrow key's sequence would
+    count as a key of its own, and move the robot in another direction. For this reason the escape key is recognized
+    only when another key follows."""
 
     def __init__(self) -> None:
         self._text = getincrementaldecoder("utf-8")("ignore")
@@ -36,7 +43,7 @@ class KeyDecoder:
         self._pasting = False
 
     def feed(self, data: bytes) -> list[str]:
-        """The keys that these bytes complete, without what is pasted."""
+        """Add bytes, and return the keys that are complete. Keys in pasted text are left out."""
         rest = self._rest + self._text.decode(data)
         found: list[str] = []
         while (token := _TOKEN.match(rest)) or len(rest) >= _LONGEST:
@@ -59,38 +66,42 @@ AXES: dict[str, Velocity] = {
     "j": (0.0, 1.0, 0.0),
     "l": (0.0, -1.0, 0.0),
 }
-"""Keys that move: forward, to the left, counter-clockwise."""
+"""The keys that move the robot, each with its direction: forward, to the left, and counter-clockwise."""
 COMMAND_S = 0.3
-"""The time that one command is good for by default (gate.command_timeout_s)."""
+"""How long one command is valid by default, in seconds (setting gate.command_timeout_s)."""
 ENDS_S = 0.35
-"""After the last repeat: by then the service's timeout has stopped the wheels; where it is longer, a zero is sent."""
+"""A key counts as released this many seconds after its last repeat. By then the service's command timeout has normally
+stopped the wheels. If the timeout is set to a longer time, a command of zero stops them."""
 LONGEST_DELAY_S = 0.8
-"""A terminal's first repeat of a key comes before that."""
+"""A terminal begins to repeat a held key before this time, in seconds."""
 REPEAT_S = 0.15
-"""From a repeat to the next."""
+"""Two repeats of a held key are at most this far apart, in seconds."""
 NO_VELOCITY = (0.0, 0.0, 0.0)
 MOST_AT_ONCE = 5
-"""More motion keys in one read than a terminal sends between two looks: they were held up on the way, and are old."""
+"""More motion keys at once than this were held up on the way, because a terminal does not send so many between two
+reads. They are old, so they do not move the robot."""
 
 
 class Hold:
-    """Whether a key that moves is held, as far as its repeats tell, and what is to be sent for it."""
+    """Decides whether a motion key is still held, judging by its repeats, and which command to send."""
 
     def __init__(self) -> None:
         self.active = False
-        """True while one is held."""
+        """True while a motion key is held."""
         self.jerks = False
-        """A key's first repeat came later than its command counts, so the wheels stopped between. It is known only once
-        a second repeat has followed: a person who taps twice looks the same until then."""
+        """True if the wheels stop shortly each time a key is pressed, because the terminal repeats the key for the
+        first time only after the command has expired. This is known only after a second repeat, because a person who
+        taps twice looks the same until then."""
         self._until_s = 0.0
-        """When it ends unless it is repeated."""
+        """When the held key counts as released, unless it is repeated before (same clock as `now_s`)."""
         self._last = ("", 0.0)
-        """The last key that moves, and when it came."""
+        """The last motion key, and when it came."""
         self._late = False
-        """It came as a first repeat does that is late."""
+        """True if the last key came as late as a late first repeat does."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """The command for these keys, or for the time without any: each axis within -1 to 1; None: there is none."""
+        """The command for these keys, or for no keys at this time. Each axis is between -1 and 1. Returns None if no
+        command must be sent."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()
@@ -105,6 +116,6 @@ class Hold:
         return AXES[key]
 
     def let_go(self) -> Velocity | None:
-        """Forget the held key; what to send for it."""
+        """Forget the held key. Returns zero velocity if a key was held, because then a zero must be sent; else None."""
         was_active, self.active = self.active, False
         return NO_VELOCITY if was_active else None
