@@ -59,8 +59,8 @@ def inner_directory(base: int, name: str, path: str) -> int:
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
     """Return `fd` if its directory can be trusted, else close it and raise Untrusted. The directory must belong to
     root, to this user, to the owner of `base`, or to a user to whom only root can have given it. Others may not write
-    to it, except if it is a `base` with the sticky bit: there nobody can replace another user's files. (`base` is None
-    if the directory itself is the base.)"""
+    to it. `base` is None for the folder that contains runtime directories. Others may write to this one if it has the
+    sticky bit, because then nobody can replace another user's files."""
     try:
         found = os.fstat(fd)
         above = base or os.stat("..", dir_fd=fd)

@@ -147,7 +147,7 @@ SEGMENTS = (
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # notes for people (packing.py)
             _latest("said", 4096, "clients"),  # what clients report about themselves (msgpack, procs/gate/remarks.py)
             _ring("box", box.TICK, box.GATE_CELLS, "everyone"),  # the command and decision of every tick (box.py)
-            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # where the arm must go, and who said so (box.py)
+            _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # where the arm must go, and for whom (box.py)
         ),
     ),
     SegmentSpec(

@@ -1,2 +1,2 @@
-"""Policy: the tables that the service follows, such as the settings and the causes of a stop. All processes import it,
-and it imports none of them."""
+"""Policy: the rules and tables that the service follows, such as the settings and the causes of a stop. All processes
+use it. It doesn't depend on any process."""

@@ -1,9 +1,10 @@
-"""Capsules: finds out whether the arm would hit itself, the chassis or the floor on its way. Pure; never used on the
-stop path.
+"""Capsules: finds out if the arm would hit itself, the chassis or the floor on its way. Pure. A stop never waits for
+it.
 
-The arm is a chain of capsules, one after each joint. With every angle at zero it points straight up from its mount. A
-joint turns the rest of the arm about the vertical (yaw), about an axis across (pitch), about itself (roll), or not at
-all (none, a gripper). The chassis is a capsule along the robot. Lengths, radii and the mount are settings.
+The arm is modelled as a chain of capsules, which are cylinders with round ends, one after each joint. If all angles are
+zero, the chain points straight up from its mount. A joint turns the rest of the arm about the vertical (yaw), about a
+sideways axis (pitch), or about its own axis (roll), or does not turn it (none, for example a gripper). The chassis is
+one capsule along the robot. Lengths, radii and the mount come from the settings.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""By which angle the arm moves between two checks on its way, rad. That is 5 mm at a reach of 0.1 m, and 15 mm at 0.3
-m."""
+"""The arm's way is checked each time a joint has turned by this angle, rad. Meanwhile the tip of an arm with a reach of
+0.1 m moves 5 mm, and with a reach of 0.3 m it moves 15 mm."""
 
 
 class Model:
@@ -35,7 +36,7 @@ class Model:
         self._chassis: Capsule = (CHASSIS, (-reach_m, 0.0, height_m), (reach_m, 0.0, height_m), radius_m)
 
     def capsules(self, angles: dict[str, float]) -> list[Capsule]:
-        """The links at these angles (rad by joint), starting at the mount."""
+        """The capsules of the arm's links at these angles (rad, by joint name), starting at the mount."""
         found: list[Capsule] = []
         at, yaw, pitch = self._mount, 0.0, 0.0
         for name, turns, length_m, radius_m in self._links:
@@ -49,8 +50,8 @@ class Model:
         return found
 
     def nearest(self, angles: dict[str, float]) -> tuple[float, str, str]:
-        """The two parts closest to touching at these angles, with the gap between them (m; below 0: they touch). Parts
-        mounted on each other are not compared."""
+        """The smallest gap between two parts at these angles, in m, with the names of the two parts. Below 0 they
+        touch. Two links that are mounted on each other are not compared."""
         links = self.capsules(angles)
         found = (inf, "", "")
         for index, link in enumerate(links):
@@ -73,8 +74,7 @@ def _gap_m(one: Capsule, other: Capsule) -> float:
 
 
 def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
-    """The distance between two segments, m: between the closest points of both lines, each limited to its segment in
-    turn."""
+    """The distance in m between two line segments, from `p1` to `q1` and from `p2` to `q2`."""
     d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
     a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
     s = _held(b * f - c * e, a * e - b * b)
@@ -84,8 +84,8 @@ def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 
 def _held(part: float, whole: float) -> float:
-    """A share limited to 0..1. If the whole is nothing (parallel lines, or a segment that is a point), any share is
-    right."""
+    """Divide, and limit the result to 0..1. If `whole` is 0, because the lines are parallel or a segment is a single
+    point, any value between 0 and 1 is right, so the result is 0."""
     return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 
@@ -104,8 +104,9 @@ def _on(begin: Point, way: Point, share: float) -> Point:
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
-    """When (s; 0 if a row has no time) and which two parts touch first, on the straight way (in angles) from `start`
-    along the rows; None: none touch. Parts that touch already may move apart."""
+    """Find the first collision on the arm's way from `start` along the rows, in straight lines between angles. Returns
+    after how many seconds it happens (0 if a row has no time) and which two parts touch, or None if none touch. Parts
+    that touch already at the start may move apart."""
     at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
         end = {**at, **to}

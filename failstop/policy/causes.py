@@ -1,12 +1,13 @@
-"""Causes: everything that stops the robot, declared once: its text, the processes that notice it, what clears it, and
-what people do.
+"""Causes: the table of everything that stops the robot. Each row says what people read, which process notices the
+cause, what clears it, and what people must do.
 
-The process that notices a cause sends the number of its row and its arguments (`pack`) to the process that reports it,
-and only there the text is made (`str`). In a template, text in brackets is left out if its arguments are empty. Every
-cause latches.
+A stop must not wait for its text. So the process that notices a cause only sends the row's number and the arguments
+(`pack`). The process that reports the cause makes the text (`str`). In a template, a part in brackets is left out if
+its arguments are empty. Every cause latches.
 
-`what` continues "stopped since ...", with the same arguments plus `role` of the process and `names` of the buttons.
-`remedy` continues "first ..." (`Kind.first`), and may name what has to be changed (ADVISED).
+`what` is a clause that continues "stopped since ...". It can use the arguments, and also `role` (what the process does)
+and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`), and can name the thing to change
+(ADVISED).
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
     from failstop.messages.packing import Value
 
 ARGUMENTS_BYTES = 280
-"""How many bytes the arguments of a cause may take, in UTF-8. Longer ones are cut."""
+"""The most bytes of UTF-8 that the arguments of a cause may have. Longer arguments are cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Stands for a name that is not known yet. The program that asked for the stop sends the request again when it knows
-the name."""
+"""Used in place of a name that the program doesn't know yet when it asks for a stop. It sends the request again when it
+knows the name."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
@@ -35,9 +36,10 @@ CLIENTS = "gate"
 """The process that watches the clients."""
 NUMBER_BYTES = 2
 LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
-"""ROS nodes that are usually the last one before a base. The first one in this list that is running counts."""
+"""ROS nodes that are usually the last node before a base. If several of these are running, the first one in this list
+counts."""
 INNER_NODES = ("behavior_server", "controller_server", "docking_server", "following_server")
-"""Nodes of Nav2 that usually have another node between them and the base."""
+"""Nodes of Nav2 that usually send their velocities to another node, not directly to the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
 _TELL = (
@@ -46,15 +48,18 @@ _TELL = (
 _AGAIN = "if this is not the first time, look at what happened before it (`failstop events`)"
 _BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
-"""The first remedy for a cause with a `doubt`."""
+"""What people must do first if the cause has a `doubt`."""
 PORT_SHARED = "`failstop doctor` shows whether a login or another program takes the answers from the port"
 USE_THE_SWITCH = "use the POWER SWITCH"
 
 
 class Kind(Data):
-    """One row. `number`: never given to another row; `template`: its parameters are in braces, and none is called
-    "name"; `noticed_by`: processes; `doubt`: a clause that ends `what`, and sends people to the power switch until the
-    stop is known to have reached the wheels."""
+    """One row of the table of causes.
+
+    `number` is never used again for another row. `template` has its parameters in braces; none of them is called
+    "name". `noticed_by` lists the processes that can notice the cause. `doubt` is a clause that is added to `what`. It
+    sends people to the power switch until it is known that the stop has reached the wheels.
+    """
 
     number: int
     name: str
@@ -66,25 +71,27 @@ class Kind(Data):
     doubt: str = ""
 
     def first(self, reached: str = "") -> str:
-        """What people must do first. `reached`: how the stop is known to have reached the wheels; empty if it is
-        not."""
+        """What people must do first. `reached`: how it is known that the stop has reached the wheels; empty if it is
+        not known."""
         return f"{POWER}; then {self.remedy}" if self.doubt and not reached else self.remedy
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
-        """Name and type of each parameter. Computed once, because causes are made right before a burst."""
+        """The name and type of each parameter. They are computed only once, because a cause is made right before a stop
+        is written."""
         fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
         return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
     def __call__(self, *arguments: Value) -> Cause:
-        """A cause of this kind. Raises ValueError if the arguments don't fit the row."""
+        """Make a cause of this kind. Raises ValueError if the arguments don't fit the parameters."""
         if len(arguments) != len(self.parameters):
             raise ValueError(f"{self.name} takes {len(self.parameters)} arguments, not {len(arguments)}")
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
 
 
 class Cause:
-    """Why the robot was stopped: the row, and its arguments in this case. `str` of it is its text."""
+    """Why the robot was stopped: a row of the table, with the arguments for this stop. `str(cause)` is the text for
+    people."""
 
     __slots__ = ("arguments", "kind")
 
@@ -97,16 +104,16 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text for the moment in which it happens. It names the power switch if the stop may not reach the
+        """The text at the moment of the stop. It says to use the power switch if the stop may not have reached the
         wheels."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
-        """The cause for programs: the row's name, and the arguments."""
+        """The cause as a dict for programs: its name and the arguments."""
         return {"name": self.kind.name, **self.named()}
 
     def fields(self) -> dict[str, str]:
-        """The cause as fields of an event: its text for people, and its name for programs."""
+        """The cause as fields of an event: `reason` is the text for people, `cause` the name for programs."""
         return {"reason": str(self), "cause": self.kind.name}
 
     def __str__(self) -> str:
@@ -122,26 +129,26 @@ class Cause:
         return hash((self.kind.number, self.arguments))
 
     def pack(self) -> bytes:
-        """The cause in at most ARGUMENTS_BYTES + 2 bytes."""
+        """Convert the cause to bytes, at most ARGUMENTS_BYTES + 2."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
         return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ARGUMENTS_BYTES)
 
 
 def unpack(payload: bytes) -> Cause:
-    """The cause in packed bytes. Raises ValueError if they are damaged."""
+    """Convert the bytes of a packed cause back. Raises ValueError if they are damaged."""
     number = int.from_bytes(payload[:NUMBER_BYTES], "little")
     if len(payload) < NUMBER_BYTES or number not in BY_NUMBER:
         raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
     kind = BY_NUMBER[number]
     texts = payload[NUMBER_BYTES:].decode("utf-8", "replace").split(BETWEEN)
-    # Parameters that were cut off become empty.
+    # If the arguments were cut, the missing ones become empty.
     texts += [""] * (len(kind.parameters) - len(texts))
     pairs = zip(kind.parameters, texts, strict=False)
     return Cause(kind, tuple(text if of is str else of(text or 0) for (_, of), text in pairs))
 
 
 def filled(template: str, arguments: dict[str, Value]) -> str:
-    """The text of a template with these arguments. Every second part of a template was in brackets."""
+    """Fill the arguments into a template. A part in brackets is left out if its arguments are empty."""
     parts = template.replace("]", "[").split("[")
     return "".join(
         part.format_map(arguments)
@@ -151,7 +158,8 @@ def filled(template: str, arguments: dict[str, Value]) -> str:
 
 
 def read(payload: bytes) -> Cause:
-    """The cause in packed bytes; UNKNOWN if they are damaged, because a stop counts whatever its cause is."""
+    """Convert the bytes of a packed cause back. If they are damaged, the result is UNKNOWN, because the stop still
+    counts."""
     try:
         return unpack(payload)
     except ValueError:
@@ -159,7 +167,8 @@ def read(payload: bytes) -> Cause:
 
 
 def of(name: str, arguments: dict[str, Value]) -> Cause:
-    """The cause with this name and these arguments; UNKNOWN if this version has no such cause."""
+    """Make the cause with this name and these arguments. If this version of failstop doesn't know it, the result is
+    UNKNOWN."""
     kind = CAUSE_BY_NAME.get(name)
     if kind is None or {key for key, _ in kind.parameters} - set(arguments):
         return UNKNOWN()
@@ -167,8 +176,9 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """The cause of a stop that was requested with this line in the stop pipe (records.asking). Any local user may write
-    the line, and a pipe does not tell its reader who did. So the name is the asker's own claim."""
+    """Make the cause of a stop that a program has requested with this line in the stop pipe (made by records.asking).
+    Every local user may write to the pipe, and the reader can't see who wrote the line. So the program's name is only
+    its own claim."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, rest = rest.partition("\t")
@@ -182,13 +192,13 @@ def requested(line: bytes) -> Cause:
 
 
 def _quoted(text: str) -> str:
-    """A text made safe to put between quotation marks, which it could otherwise end, and without backquotes, which mark
-    failstop's own commands."""
+    """Make a text safe to show between quotation marks. Double quotes are replaced, because one would end the
+    quotation, and backquotes too, because they mark failstop's own commands."""
     return printable(text).replace('"', "'").replace("`", "'")
 
 
 def unsigned(cause: Cause) -> str:
-    """The cause's text, without the name of the program that asked for the stop."""
+    """The text of a cause, without the name of the program that requested the stop."""
     return str(cause).rpartition(BY)[0] if cause.kind in SIGNED else str(cause)
 
 
@@ -198,40 +208,42 @@ def bare(cause: Cause) -> str:
 
 
 def remedied(cause: Cause, reached: str = "") -> str:
-    """What people must do first, with the names of this case filled in. `reached`: as for Kind.first()."""
+    """What people must do first, with the names of this case filled in. `reached`: how it is known that the stop has
+    reached the wheels; empty if it is not known."""
     return cause.kind.first(reached).format_map({name: advise(cause) for name, advise in ADVISED.items()})
 
 
 def _to_remap(cause: Cause) -> str:
-    """The nodes that must publish on another topic, so that one node remains."""
+    """If several ROS nodes publish on one topic, the names of the nodes that must be moved to another topic, so that
+    one node remains."""
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
     if last and len(nodes) > 1:
         return ", ".join(node for node in nodes if node != last)
     inner = [node for node in nodes if node.rpartition("/")[2] in INNER_NODES]
-    # One of these alone may publish several times, before the node that is the last one has begun to.
+    # An inner node may publish several times before the node that is usually the last one begins to publish.
     alone = len(nodes) - len(inner) <= 1 and all(node in words.split(", ") for node in nodes if node not in inner)
     return ", ".join(inner) if inner and alone else f"all but one of {words}"
 
 
 ADVISED = {"others": _to_remap}
-"""The names that a remedy may contain, by their placeholder in the remedy."""
+"""The names that a remedy can contain. Each placeholder has a function that finds the name."""
 BY = " (says it is "
-"""In the text of a requested stop, this follows the words of the reason."""
+"""In the text of a requested stop, these words follow the reason, and the name of the program follows them."""
 
 
 def rival_of(who: str, other: str) -> str:
-    """How to name a second client as the rival of `who`; both are given as a name and a pid. Two clients with one pid
-    are two Robots in one program."""
+    """Name the client that disturbs the client `who`. Both are given as a name with a pid. If both have the same pid,
+    they are two Robots in one program, and the text says so."""
     pid = who.rpartition(" (pid ")[2]
-    known = pid.endswith(")") and pid != "0)"  # 0: of another pid namespace
+    known = pid.endswith(")") and pid != "0)"  # 0: the client is in another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """True if a later stop fills in what the latched cause lacked: the same program asked for both, and the first time
-    it did not know everything yet. This happens once, because nothing is missing afterwards."""
+    """True if `later` is the same stop request as `latched`, and fills in a name that was not known at first. This can
+    be true only once for a latched cause, because afterwards no name is missing."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -463,11 +475,12 @@ SIGNED = (
     ROS_ARM_NOT_HELD,
     ROS_NO_ANSWER,
 )
-"""Rows of a stop that a program requested through the stop pipe and signed with its name: words, who, pid."""
+"""The causes of stops that a program requests and signs: it gives a reason, its name and its pid."""
 
 
 class Reply(Data):
-    """The answer to a request. In its text, CAUSE (records) stands for the text of `cause`."""
+    """The answer to a request. The placeholder CAUSE (messages/records.py) in its text is replaced by the text of
+    `cause`."""
 
     done: int
     text: str
@@ -478,24 +491,25 @@ class Reply(Data):
         return self.text.replace(records.CAUSE, str(self.cause))
 
     def pack(self, session: int, number: int) -> bytes:
-        """The answer to the request with this number, of this client's session."""
+        """Convert the answer to bytes, for request `number` of this client session."""
         cause = self.cause.pack() if self.cause else b""
         return records.REPLY.pack(session, number, self.done, self.refused_for, self.text, cause)
 
 
 def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
-    """Return (session, number, reply). Raises ValueError."""
+    """Return (session, number, reply) from the bytes of an answer. Raises ValueError if they are damaged."""
     session, number, done, refused_for, text, cause = records.REPLY.unpack(payload)
     return session, number, Reply(done, text, read(cause) if cause else None, refused_for)
 
 
 def refused(why: str, latched: Cause | None = None) -> Reply:
-    """A reply that refuses. If a stop is `latched`, its cause follows the reason."""
+    """Make an answer that refuses a request. `latched`: the cause of the latched stop, whose text follows the reason;
+    None if nothing is latched."""
     if latched is None:
         return Reply(records.REFUSED, why)
     return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)
 
 
 def asked_before(cause: Cause) -> Reply:
-    """The refusal of a request that was made before the last stop, so the client did not know about it."""
+    """Refuse a request that was made before the last stop. The client could not know about that stop when it asked."""
     return Reply(False, f"asked before the last stop ({records.CAUSE}): deal with that stop, then ask again", cause)

@@ -1,7 +1,7 @@
-"""Halted: what a command may say about the wheels after it has tried to stop them. Pure.
+"""Halted: the sentence that a command prints about the wheels after it has tried to stop them. Pure.
 
-A command says "stopped" only for what it has observed: a stop that went out whole and, if the board can confirm one,
-the board's own answer after it. Otherwise it says that a wheel may still be turning.
+It says that the wheels are stopped only if that was observed. For that the whole stop must have been written, and if
+the board can confirm a stop, it must have done so. Otherwise the sentence says that a wheel may still be turning.
 """
 
 from __future__ import annotations
@@ -21,40 +21,41 @@ NOT_CONFIRMED = f"a stop was written to {{where}}, but the board did not confirm
 CONFIRMED = "the board has confirmed the stop"
 UNCONFIRMABLE = "a stop was written to {where}, but nothing can confirm it: check that no wheel turns"
 OF_CTRL_C = 130
-"""The exit code of a command that Ctrl-C ended."""
+"""The exit code of a command that was ended with Ctrl-C and has stopped the wheels."""
 
 
 class Halted(Data):
-    """What is known after a command has tried to stop the wheels."""
+    """What a command knows after it has tried to stop the wheels."""
 
     where: str
-    """The port or the topic that the stop was sent to."""
+    """The port or the topic to which the stop was sent."""
     written: bool
     """True if a whole stop has left this computer."""
     there: bool = True
     """True if the port exists."""
     why: str = ""
-    """Why no stop could be written."""
+    """Why no stop could be written; empty if it was written."""
     confirms: bool = False
     """True if this board can confirm a stop."""
     confirmed: bool = False
-    """True if the board has answered a question that followed the stop."""
+    """True if the board has answered a question that was sent after the stop."""
     still: bool | None = None
-    """True if the wheels were reported at rest after the stop, False if not; None if nothing reports them."""
+    """True if the wheels are reported to be at rest after the stop, False if one still turns, None if nothing reports
+    it."""
     by: str = "the board"
-    """What reports about the wheels, for example "the board"."""
+    """What reports about the wheels, in words."""
 
     @property
     def safe(self) -> bool:
-        """True if nothing known says that a wheel may still be turning."""
+        """True unless there is a reason to think that a wheel may still be turning."""
         return self._row()[1]
 
     def sentence(self) -> str:
-        """What may be said about the wheels, without the final full stop."""
+        """The sentence about the wheels, without its full stop."""
         return self._row()[2].format(where=self.where, by=self.by, why=f" ({self.why})" if self.why else "")
 
     def interrupted(self) -> int:
-        """The exit code of a command that Ctrl-C ended."""
+        """The exit code if Ctrl-C has ended the command: OF_CTRL_C, or 1 if a wheel may still be turning."""
         return OF_CTRL_C if self.safe else 1
 
     def _row(self) -> tuple[Callable[[Halted], bool], bool, str]:
@@ -70,5 +71,5 @@ SENTENCES: tuple[tuple[Callable[[Halted], bool], bool, str], ...] = (
     (lambda known: known.confirmed, True, CONFIRMED),
     (lambda _: True, True, UNCONFIRMABLE),
 )
-"""Rows of a condition, True if the wheels are then safe, and the sentence. The first row whose condition holds
-decides."""
+"""The possible sentences. Each row has a condition, True if the wheels are safe then, and the sentence. The first row
+whose condition holds is used."""

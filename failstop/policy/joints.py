@@ -1,6 +1,8 @@
-"""Joints: each joint's settings, and where the joint is. Pure. Positions are in pulses, fractional where they are
-commanded. Rounding is left to the frame, because 0.3 rad/s are 2.9 pulses per move, and slower moves are fractions of
-one."""
+"""Joints: the settings of each joint of the arm, and where the joint is. Pure.
+
+Positions are in pulses of the servo. Commanded positions have fractions, which are rounded only when a frame is made.
+That is necessary because a slow joint moves by less than a pulse per step; at 0.3 rad/s a step has 2.9 pulses.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from failstop.board.kinds import facts_of
 from failstop.policy.settings import Settings
 
 MOST_MISSES = 4
-"""A servo that leaves this many questions in a row unanswered counts as silent."""
+"""A servo counts as silent when it has not answered this many questions in a row."""
 
 
 class Joint:
@@ -23,7 +25,8 @@ class Joint:
         highest: int,
         turn: int,
     ) -> None:
-        """`highest`: the last of its pulses; `turn`: pulses in a whole turn."""
+        """`table`: the joint's settings; `highest`: the servo's highest position in pulses; `turn`: how many pulses
+        make a whole turn."""
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
         self.name = name
         self.servo = int(number["servo"])
@@ -37,19 +40,19 @@ class Joint:
         self.tuck, self.drive = int(number["tuck"]), int(number["drive"])
         self.judged = table["judged"] == "on"
         self.position = 0.0
-        """The commanded position, fractional. It means something only while `known`."""
+        """The commanded position in pulses, with a fraction. It is valid only while `known` is True."""
         self.velocity = 0.0
         self.known = False
-        """True if its position has been read, and since then only its own stream of moves has moved it."""
+        """True if the position was read, and nothing but this joint's own moves has changed it since."""
         self.loaded: bool | None = None
-        """True if its torque was switched on, and nothing says that it is off since then; None if it was neither
-        switched nor read yet."""
+        """True if the torque was switched on, and nothing has shown since that it is off. None if the torque was
+        neither read nor switched yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
-        """A reading that counts only once a second one equals it."""
+        """A surprising position that was read once. It counts only if the next reading is the same."""
         self.misses = 0
-        """How many questions in a row have had no answer."""
+        """How many questions in a row the servo has not answered."""
         self.temperature_c = self.supply_mv = 0
         self.stepped_ns = 0
 
@@ -59,61 +62,64 @@ class Joint:
         return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
-        """The position in pulses that an angle in rad stands for."""
+        """Convert an angle in rad to a position in pulses."""
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
-        """A change, or a rate, of the angle as pulses."""
+        """Convert a change or a rate of the angle to pulses."""
         return self.sign * angle_rad * self.per_rad
 
     def rad(self, pulses: float) -> float:
-        """The angle in rad that a position in pulses stands for."""
+        """Convert a position in pulses to an angle in rad."""
         return (pulses - self.zero) * self.sign / self.per_rad
 
     def range_rad(self) -> tuple[float, float]:
-        """The lowest and the highest angle to which the joint may be sent, rad."""
+        """The lowest and the highest angle that the joint may be moved to, rad."""
         low, high = sorted((self.rad(self.low), self.rad(self.high)))
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """The joint's state, for people and programs."""
+        """The values of this joint in the gate's state, which people and programs see."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)
 
     def forget(self) -> None:
-        """Forget its position, because it was stopped or released on its way, so it must be read again."""
+        """Mark the position as unknown, because the joint was stopped or released while it moved. It must be read
+        again."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None
 
     def step_towards(self, target: float, share: float, elapsed_s: float) -> None:
-        """Move toward a position, with at most `share` of its speed, slowly enough that it can still stop there."""
+        """Take one step toward a position. `share`: the share of the joint's speed that it may use. The joint slows
+        down in time to stop at the position."""
         gap = target - self.position
         wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
         self._step(copysign(wanted, gap), elapsed_s)
 
     def jog(self, rate: float, elapsed_s: float) -> None:
-        """Move at a rate (pulses/s) until a bound is reached."""
+        """Take one step at this rate (pulses/s). The joint slows down in time to stop at the end of its range."""
         room = (self.high - self.position) if rate > 0 else (self.position - self.low)
         wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
         self._step(copysign(wanted, rate), elapsed_s)
 
     def _stops_within(self, way: float, elapsed_s: float) -> float:
-        """The highest speed from which the joint can still stop within this distance, in steps of this length."""
+        """The highest speed, in pulses/s, from which the joint can stop within the distance `way`. `elapsed_s`: the
+        time of a step."""
         ramp = self.acceleration * elapsed_s
         return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
 
     def _step(self, wanted: float, elapsed_s: float) -> None:
         most = self.acceleration * elapsed_s
         self.velocity += max(-most, min(most, wanted - self.velocity))
-        # A joint that was turned by hand beyond its bounds comes back at its speed, not in one leap.
+        # If someone has turned the joint out of its range by hand, it returns at its normal speed, not in one jump.
         low, high = min(self.low, self.position), max(self.high, self.position)
         self.position = max(low, min(high, self.position + self.velocity * elapsed_s))
 
 
 def from_settings(settings: Settings) -> list[Joint]:
-    """The arm's joints in the order of the settings; none on a robot without an arm."""
+    """The arm's joints in the order of the settings. Empty if the robot has no arm."""
     facts = facts_of(settings.text("board.kind"))
     if not (facts and facts.arm):
         return []
@@ -127,7 +133,8 @@ def from_settings(settings: Settings) -> list[Joint]:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """The text about a joint that may not be sent there, with its range; empty if all may."""
+    """Check that joints may move to these angles. Returns a text about the first joint that may not, with its range;
+    empty if all may."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:

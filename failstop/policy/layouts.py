@@ -1,6 +1,5 @@
-"""Layouts: how many wheels a robot has, their names, and their settings. Pure. The board determines how many speeds a
-frame has, the layout how many wheels there are; a speed without a wheel is zero.
-"""
+"""Layouts: how many wheels a robot has, their names, and their settings. Pure. The board determines how many speeds are
+in a frame. The layout determines how many wheels the robot has. A speed for which there is no wheel is zero."""
 
 from __future__ import annotations
 
@@ -17,20 +16,20 @@ if TYPE_CHECKING:
     Values = Mapping[str, float | str]
 
 BOARDS = ALL_KINDS
-"""The kinds of boards. Each is a folder of failstop/board that describes it."""
+"""The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""How many wheels each layout may have. A known board drives as many as its frame has speeds; your own board drives
-the smallest number."""
+"""How many wheels each layout may have. On a board that failstop knows, the layout has as many wheels as the frame has
+speeds. On your own board it has the smallest number in this table."""
 SERVOS = ("pwm", "bus")
-"""The kinds of servos that may steer."""
+"""The kinds of servos that can steer."""
 WHEEL_NAMES = {
     1: ("rear",),
     2: ("left", "right"),
     3: ("left", "rear", "right"),
     4: ("front left", "rear left", "front right", "rear right"),
 }
-"""The wheels in the order of their numbers, for each number of wheels."""
+"""The names of the wheels in the order of their numbers, for each number of wheels."""
 NUMBERS = (1, 2, 3, 4)
 OF_THE_BASE = (
     Setting(
@@ -114,10 +113,10 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
 }
-"""Other defaults of a layout. The omni3 ones are LeKiwi's (lerobot's lekiwi.py), the ackermann ones ROSOrin's; a board
-may have others for its steered base (Facts.steered_defaults)."""
+"""Defaults that depend on the layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), and those of ackermann are
+ROSOrin's. A board may have other defaults for its steered base (Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""The layout that is used for a board with this many speeds if the settings name none."""
+"""If the settings name no layout, this layout is used for a board with this many speeds."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -125,24 +124,25 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""Settings that exist only for some layouts."""
+"""Settings that exist only for some layouts, each with these layouts."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:
-    """How many speeds a frame for this kind of board sets, on a base with this layout. None: your own board, which
-    takes as many as its layout has wheels."""
+    """How many speeds are in a frame for this kind of board, on a base with this layout. Returns None for your own
+    board, because it takes as many speeds as the layout has wheels."""
     facts = facts_of(kind)
     return facts.layouts.get(layout, facts.speeds) if facts else None
 
 
 def steers(kind: str) -> bool:
-    """True if this kind of board can turn the servo of a steered base."""
+    """True if this kind of board can turn the steering servo of a steered base."""
     facts = facts_of(kind)
     return bool(facts and facts.steers)
 
 
 def drivable(kind: str, speeds: int) -> list[str]:
-    """The layouts that this kind of board can drive. `speeds`: how many its frames set, for your own board."""
+    """The layouts that this kind of board can drive. `speeds`: how many speeds are in its frames; only needed for your
+    own board."""
     return [
         name
         for name, counts in LAYOUTS.items()
@@ -151,7 +151,7 @@ def drivable(kind: str, speeds: int) -> list[str]:
 
 
 def wheel_count(kind: str, layout: str) -> int:
-    """How many wheels are driven. Raises SettingError if the board can't drive that layout."""
+    """The number of driven wheels. Raises SettingError if this kind of board can't drive the layout."""
     if layout == ACKERMANN and not steers(kind):
         raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} can\'t move a servo that steers')
     if (speeds := speeds_of(kind, layout)) is None:
@@ -164,15 +164,16 @@ def wheel_count(kind: str, layout: str) -> int:
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
-    """The id on the wire of each wheel's motor, from settings as texts; missing ones have their defaults."""
+    """The id on the wire of each wheel's motor. `given`: settings as texts; a setting that is missing has its
+    default."""
     found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]
 
 
 def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
-    """Fill in the layout's own defaults, and remove settings that this robot does not have. Raises SettingError if one
-    of those is in `changed`."""
+    """Fill in the defaults that depend on the layout, and remove settings that this robot does not have. `changed`: the
+    keys that the user has set. Raises SettingError if one of these is a setting that the robot does not have."""
     kind = str(values["board.kind"])
     facts = facts_of(kind)
     if facts and not facts.imu:
@@ -203,7 +204,7 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
 
 
 def _absent(layout: str, count: int) -> dict[str, str]:
-    """Settings that a robot with this layout and number of wheels does not have, each with the reason."""
+    """The settings that a robot with this layout and number of wheels does not have, each with the reason."""
     named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, WHEEL_NAMES[count], strict=False))
     beyond = f"this robot has {count} wheels ({named})"
     found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
@@ -213,8 +214,8 @@ def _absent(layout: str, count: int) -> dict[str, str]:
 
 
 def check_base(values: Values) -> None:
-    """Check that each motor has its own id, which the board knows, and that the steering servo can turn as far as the
-    settings ask. Raises SettingError."""
+    """Check that each motor has a different id which the board knows, and that the steering servo can reach the largest
+    steering angle. Raises SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])

@@ -1,5 +1,5 @@
-"""Placing: explains to the person who wrote a settings file where a line belongs: a line that TOML counts to another
-table, or a setting that appears twice. Imported only after a mistake."""
+"""Placing: explains two mistakes in a settings file. A line can be below the wrong [table], so that TOML reads it as
+part of that table, or a setting can be there twice. Imported only after such a mistake."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ TABLE_LINE = re.compile(r"\s*\[+\s*([^]#]+?)\s*\]")
 SETTING_LINE = re.compile(r"\s*([\w.\-\"' \t]+?)\s*=")
 AT_LINE = re.compile(r"\(at line (\d+),")
 MOST_NAMED = 4
-"""How many misplaced lines one message names."""
+"""The most misplaced lines that one message names."""
 TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate")
-"""How a message of Python's TOML parser begins if a key or a table appears twice."""
+"""If a key or a table is in the file twice, the message of Python's TOML parser begins with one of these."""
 
 
 class FileLine(Data):
-    """A line that begins a table (`name` is empty) or sets something."""
+    """A line of a settings file that begins a table (then `name` is empty) or sets a value."""
 
     number: int
     table: str
@@ -27,13 +27,13 @@ class FileLine(Data):
 
     @property
     def whole(self) -> str:
-        """The key of the setting as TOML reads it."""
+        """The key of the setting as TOML reads it, which includes the table."""
         return ".".join(filter(None, (self.table, self.name)))
 
 
 def outline(text: str) -> list[FileLine]:
-    """The lines that begin a table or set something. It reads line by line, so a line within a longer text may look
-    like a setting; for a message that is good enough."""
+    """The lines of a settings file that begin a table or set a value. A line within a multi-line text may be mistaken
+    for a setting, but for an error message this is good enough."""
     found = []
     table = ""
     for number, line in enumerate(text.split("\n"), 1):
@@ -50,8 +50,9 @@ def _bare(name: str) -> str:
 
 
 def meant(key: str, known: Callable[[str], bool]) -> str:
-    """The setting that somebody wrote with its whole name below a [table], for example `board.kind` if the key is
-    `arm.board.kind`. Empty if the key is a setting itself, or contains none."""
+    """The setting that somebody probably meant when they wrote its whole name below a [table]. For example,
+    `board.kind` below [arm] becomes `arm.board.kind`, and `board.kind` was meant. Empty if the key is a setting, or
+    contains no setting."""
     if known(key):
         return ""
     parts = key.split(".")
@@ -59,8 +60,8 @@ def meant(key: str, known: Callable[[str], bool]) -> str:
 
 
 def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
-    """The lines that are below the wrong [table], and where they belong; empty if there are none. `keys`: what the file
-    sets, by whole key; `known`: whether a setting with that key exists."""
+    """A text that names the lines below the wrong [table], and where they belong. Empty if there are none. `keys`: what
+    the file sets, by whole key. `known`: a function that returns True if a setting with that key exists."""
     lines = outline(text)
     tables = {line.table: line.number for line in reversed(lines) if not line.name}
     whole = {line.whole: line for line in lines if line.name}
@@ -82,7 +83,8 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """What appears twice in the file, if the parser's `problem` says so; empty if nothing is found."""
+    """What is in the file twice, if the parser's message `problem` says that something is. Empty if nothing is
+    found."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

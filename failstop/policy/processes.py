@@ -1,21 +1,25 @@
-"""The process table: every process of the service except the supervisor, in the order in which they are started."""
+"""The process table: the processes of the service except the supervisor, in the order in which they are started."""
 
 from __future__ import annotations
 
 from failstop.data import Data
 
 SUPERVISOR_PRIORITY = 30
-"""SCHED_FIFO priorities; the higher one runs first. The port owner is first, because every stop goes through it. The
-supervisor is last: it is needed when the others have died, and its death must not hold up the ones that answer it."""
+"""The supervisor's real-time priority (SCHED_FIFO). A process with a higher priority runs first.
+
+The port owner has the highest priority, because every stop goes through it. The stopper, the gate and then the
+supervisor follow. The supervisor is needed only after another process has died, and its own death must not delay the
+processes that react to it.
+"""
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""After a hang no wheel turns for longer than this. The stopper notices a hang of the port owner; the supervisor and
-the port owner each notice that they were held up themselves."""
+"""If the port owner or the supervisor hangs, no wheel turns for longer than this, in ns. The stopper notices a hang of the
+port owner. The supervisor and the port owner also notice if they themselves were held up."""
 
 
 class Process(Data):
-    """One row of the table: a process, how it is started and watched, and what its loss means."""
+    """One row of the process table: how a process is started and watched, and what its loss means."""
 
     name: str
     role: str
@@ -66,4 +70,4 @@ PROCESSES = (
 
 PROCESS_BY_NAME = {row.name: row for row in PROCESSES}
 ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
-"""The job of each process, as words that end a sentence."""
+"""What each process does, as words that end a sentence."""

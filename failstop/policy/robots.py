@@ -1,7 +1,7 @@
-"""Robots: Hiwonder's RRC family by name, as defaults for settings. Pure tables.
+"""Robots: the robots of Hiwonder's RRC family, with the default settings of each. Pure.
 
-The figures are from each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py). A
-figure that no source gives, or that two sources give differently, is None, so you must measure it on your robot.
+The figures come from each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py). A
+figure is None if no source gives it, or two sources disagree. You must then measure it on your robot.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _steering(per_rad: float, sign: int | None, most_deg: float) -> Defaults:
 
 
 LEFT_BACKWARD = _signs(-1, -1, 1, 1)
-"""All motors are mounted the other way round than ROSOrin's."""
+"""On these robots, all motors are mounted the other way round than on ROSOrin."""
 MENTORPI = _sizes(0.065, 0.1368, 0.1446) | LEFT_BACKWARD
 ROBOTS: dict[str, dict[str, Defaults]] = {
     USUAL_ROBOT: {
@@ -46,7 +46,7 @@ ROBOTS: dict[str, dict[str, Defaults]] = {
     "mentorpi": {"mecanum": MENTORPI, "ackermann": _sizes(0.067, 0.145, 0.133) | _steering(2000 / pi, None, 29.0)},
     "landerpi": {
         "mecanum": MENTORPI,
-        # Its tracks skid; they turn it as mecanum wheels of the same base would.
+        # Its tracks skid, so they turn the robot as mecanum wheels on a base of this size would.
         "differential": _sizes(0.068, 0.1368, 0.1368 + 0.1446) | LEFT_BACKWARD,
         "ackermann": _sizes(0.067, 0.145, 0.133) | _signs(-1, 1) | _steering(1000 / pi, 1, 40.0),
     },
@@ -62,17 +62,17 @@ UNDRIVEN = {
     "turbopi": "its own program sets duties, never speeds: after a stop of speeds a motor without an encoder goes on "
     "turning; where its motors have encoders, leave this name out and set device.path and [wheels]",
 }
-"""Robots of the family that can't be driven, each with the reason."""
+"""Robots of the family that failstop can't drive, each with the reason."""
 LAYOUT_OF = {"jetacker": "ackermann"}
-"""The layout of each robot that has only one layout, which is not the usual one."""
+"""The layout of robots that have only one layout, if it is not the usual one."""
 
 
 EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 
 def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
-    """Fill in this robot's figures. Raises SettingError for a robot that can't be driven, or whose figures must be
-    measured."""
+    """Fill in the figures of this robot. Raises SettingError if the robot can't be driven, or if you must measure a
+    figure."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
     if robot in UNDRIVEN:
         raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')

@@ -1,10 +1,10 @@
-"""Scale: how many of the board's speed units make one wheel turn per second (the setting board.per_rps), and how slowly
-the robot drives until a person has confirmed that number. Pure.
+"""Scale: checks how many of the board's speed units make one wheel turn per second (the setting board.per_rps). Until a
+person has confirmed that number, the robot may only drive slowly. Pure.
 
-If commands and reports use the same scale, they always agree, even if the scale is wrong, and only a person who sees
-the wheel can tell. So the robot drives slowly until a person has watched a wheel turn; writing the number into the
-settings does not count. If the board reports in another unit, or a gyro feels the turn, failstop compares the measured
-speed with the commanded one.
+If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows this, because the board uses
+the same wrong scale for commands and reports, so they always agree. Only a person who sees the wheel can tell. So the
+robot drives slowly until a person has watched a wheel turn; it is not enough to write the number into the settings. If
+the board reports in another unit, or a gyro measures the turn, failstop also compares measured with commanded speeds.
 """
 
 from __future__ import annotations
@@ -16,28 +16,30 @@ from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
 PER_RPS_CONFIRMED = "board.per_rps_confirmed"
-"""The confirmed number. It counts only for the same number in PER_RPS."""
+"""The setting with the confirmed number. It counts only if PER_RPS has the same number."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
-"""Speeds that an unconfirmed scale allows at most. A scale that is five times too large makes 0.25 m/s of 0.05: the
-reduced speed at which people may work beside a machine (ISO 10218-1)."""
+"""The highest speeds that are allowed while the scale is not confirmed. Even if the scale is five times too large, 0.05
+m/s becomes no more than 0.25 m/s, the reduced speed at which people may work beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""How far the measured speed of a wheel may differ from the commanded one, up or down, as a factor. Two values: for a
-board that holds the commanded speed, and for one that sets a voltage, whose wheels are faster downhill and slower under
-load."""
+"""By which factor the measured speed of a wheel may be higher or lower than the commanded one. The value for True is
+for a board that holds the commanded speed. The value for False is for a board that only sets a voltage, because its
+wheels turn faster downhill and slower under load."""
 GYRO_FITS = (1 / 1.6, 1.25)
-"""How far the measured turn rate of the robot may differ from the commanded one: the smallest and the largest factor.
-The range is wider below 1, because tracks and skidding wheels turn the robot less than they roll."""
+"""The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
+below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""
 FITS = 1.25
-"""If a speed differs by more than this factor, people get a remark, even if a healthy robot may explain it."""
+"""If a speed differs by more than this factor, people get a remark, even if a healthy robot could show this
+difference."""
 ON_A_STAND = 0.1
-"""If the gyro feels less than this share of the turn, it says nothing about the scale, because the robot is on a stand
-or held."""
+"""If the gyro measures less than this share of the commanded turn, it says nothing about the scale. The robot is then
+probably on a stand, or somebody holds it."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:
-    """The settings with the limits that hold: lower ones while the scale is `assumed`."""
+    """The settings with lower speed limits if the scale is only `assumed`. Otherwise the settings are returned
+    unchanged."""
     if not assumed:
         return settings
     found = Settings.from_lines(settings.lines())
@@ -47,28 +49,28 @@ def capped(settings: Settings, *, assumed: bool) -> Settings:
 
 
 def cap_text(settings: Settings) -> str:
-    """What an unconfirmed scale means for driving, in words. `settings`: those of the run, with the cap in them."""
+    """A text for people that says that the speed is capped, and why. `settings`: the settings after capped()."""
     fastest = settings["limits.vx_mps"]
     return f"speed capped at {fastest:g} m/s, because {ASSUMED}; {REMEDY}"
 
 
 def near(ratio: float, factor: float) -> bool:
-    """True if measured divided by commanded is within this factor, up or down."""
+    """True if `ratio` (measured divided by commanded) differs from 1 by at most this factor, up or down."""
     return 1 / factor <= ratio <= factor
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """The text about wheels that turn at `ratio` times the commanded speed, with the value of board.per_rps that would
-    fit; empty if the difference can be explained. `per_rps`: the value in use, in the board's unit."""
+    """A text for people if the wheels turn at `ratio` times the commanded speed and board.per_rps must be wrong. It
+    names the value that would fit. Empty if the difference can have another reason. `per_rps`: the present value, in
+    the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """A remark for people about wheels that turn at `ratio` times the commanded speed, when that may also have a
-    harmless reason, such as a slope; empty if the difference is small. `per_rps`: the value in use, in the board's
-    unit."""
+    """A remark for people if the wheels turn at `ratio` times the commanded speed, but this may have a harmless reason,
+    such as a slope. Empty if the difference is small. `per_rps`: the present value, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -80,8 +82,8 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """The text about a robot that turns `ratio` times as fast as commanded, as its gyro measures it, and about the
-    settings that may be wrong; empty if the difference can be explained."""
+    """A text for people if the gyro shows that the robot turns `ratio` times as fast as commanded, and a setting must
+    be wrong. It names the settings to check. Empty if the difference can have another reason."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -89,8 +91,8 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """A remark for people about a robot that turns `ratio` times as fast as commanded, when skidding tracks or wheels
-    may also explain it; empty if the difference is small."""
+    """A remark for people if the robot turns `ratio` times as fast as commanded, but skidding tracks or wheels may be
+    the reason. Empty if the difference is small."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"
@@ -101,6 +103,6 @@ def _turn(ratio: float) -> str:
 
 
 def _sizes(layout: str) -> str:
-    """The settings that determine how fast the robot turns."""
+    """The settings on which it depends how fast the robot turns."""
     of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
     return f"{of_layout.get(layout, 'wheels.track_m')}, wheels.diameter_m and board.per_rps"

@@ -1,4 +1,4 @@
-"""Servos of a bus: their loads and temperatures by the parts that they turn, and the texts about them. Pure."""
+"""Servos on a bus: their loads and temperatures by the part that each turns, and texts about them for people. Pure."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, tuple[float, int]]:
-    """Load and temperature of each servo that answers and turns a wheel or a joint, by a name such as `rear wheel
-    (servo 8)`. `rows`: each id with its values (records.HEALTH)."""
+    """The load and temperature of each servo that answers and turns a wheel or a joint. The key is a name such as `rear
+    wheel (servo 8)`. `rows`: the values of each servo, as in records.HEALTH."""
     parts = _parts(settings)
     answer = ((servo, load, at_c) for servo, load, at_c, bits in rows if not bits & SERVO_MISSING)
     return {parts[servo]: (load, at_c) for servo, load, at_c in answer if servo in parts}
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The servos that turn the wheels, if each wheel has one on the bus, or the motors' controllers if they answer for
-    themselves."""
+    """The ids of the servos on the bus that turn the wheels. On a board whose motor controllers report for themselves,
+    these are the ids of the controllers. Empty if neither is so."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]
@@ -37,7 +37,7 @@ def turn_wheels(settings: Settings) -> bool:
 
 
 def _parts(settings: Settings) -> dict[int, str]:
-    """The part that each servo turns, by its id."""
+    """The part that each servo turns, in words, by the servo's id."""
     wheels = _wheels(settings)
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
@@ -56,31 +56,31 @@ WRONG = {
     SERVO_LOAD: "it is overloaded",
     SERVO_MISSING: SILENT_SERVO,
 }
-"""What is wrong with a servo, by the bits of board/wire.py."""
+"""What is wrong with a servo, in words, for each error bit in board/wire.py."""
 
 
 def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, str]:
-    """What is wrong with each servo that reports an error, or does not answer, by the part that it turns."""
+    """What is wrong with each servo that reports an error or does not answer. The key is the part that it turns."""
     parts = _parts(settings)
     found = {parts.get(servo, f"servo {servo}"): bits for servo, _, _, bits in rows if bits}
     return {part: " and ".join(text for bit, text in WRONG.items() if bits & bit) for part, bits in found.items()}
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """The first wheel whose servo does not answer although another wheel's servo does, for example `rear wheel (servo
-    8)`; empty if none is known."""
+    """If some wheels' servos answer and others don't, the name of the first wheel whose servo doesn't, for example
+    `rear wheel (servo 8)`. Otherwise empty."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """What motion must wait for because a wheel's servo does not answer, as a text; empty if all answer."""
+    """What motion must wait for if a wheel's servo does not answer, as a text. Empty if all servos answer."""
     wheel = missing_wheel(rows, settings)
     return f"the {wheel}, which does not answer" if wheel else ""
 
 
 def summary(servos: Health) -> str:
-    """A text about the hottest servo and the one with the highest load."""
+    """A text for people about the hottest servo and the servo with the highest load."""
     hottest = max(servos, key=lambda name: servos[name][1])
     loaded = max(servos, key=lambda name: abs(servos[name][0]))
     load = abs(servos[loaded][0])
@@ -89,5 +89,5 @@ def summary(servos: Health) -> str:
 
 
 def hot(servos: Health, settings: Settings) -> list[str]:
-    """A text for each servo that is as hot as the setting arm.hot_c."""
+    """A text for each servo that is at least as hot as the setting arm.hot_c."""
     return [f"{name} is at {at_c} C" for name, (_, at_c) in servos.items() if at_c >= settings["arm.hot_c"]]

@@ -1,11 +1,11 @@
-"""Setting: the declaration of one value, and the check whether a value is allowed."""
+"""Setting: declares one setting, and checks if a value is allowed for it."""
 
 from __future__ import annotations
 
 from failstop.data import Data
 
 MOST_SHOWN = 160
-"""Characters of a value shown in a message."""
+"""The most characters of a value that a message shows."""
 LONGEST_TEXT = 255
 UNITS = frozenset(
     (
@@ -15,32 +15,32 @@ UNITS = frozenset(
         *("V", "mV", "A", "%", "g", "C", "bytes", "kB", "MB", "GB", "baud"),
     )
 )
-"""Units as they follow a number in a sentence. A line is not broken between the two."""
+"""The units that can follow a number in a sentence. A line is not broken between the number and its unit."""
 
 
 class SettingError(ValueError):
-    """A value is not allowed; the message names the key, the value and the allowed values."""
+    """A value is not allowed. The message names the key, the value and the allowed values."""
 
 
 def shortened(text: str) -> str:
-    """The text, shortened to fit into one line for people."""
+    """Shorten a text so that it fits into one line for people."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def shown(value: object) -> str:
-    """A value of any type, shortened to fit into one line for people."""
+    """Show a value of any type in one line for people, shortened if necessary."""
     try:
         return shortened(repr(value))
-    except (ValueError, RecursionError):  # a number with thousands of digits, a list within lists within lists
+    except (ValueError, RecursionError):  # for example a number with thousands of digits, or lists nested very deeply
         return f"{type(value).__name__} that is too large to show"
 
 
 class Setting(Data):
-    """One declaration.
+    """The declaration of one setting.
 
-    A number has a range (inclusive) or a few allowed values. A text may have a few allowed words, and may also allow
-    the path of a folder. A text whose default is empty may be empty.
+    A number has a range (both ends are allowed) or a list of allowed values. A text may have a list of allowed words,
+    and may also allow the path of a folder. A text may be empty if its default is empty.
     """
 
     key: str
@@ -53,7 +53,8 @@ class Setting(Data):
     or_folder: bool = False
 
     def check(self, value: object, key: str = "") -> float | str:
-        """Return the value in its declared type, or raise SettingError, which names `key` (its own, if empty)."""
+        """Return the value in the type of this setting. Raises SettingError if it is not allowed, with `key` as the
+        name of the setting (by default its own key)."""
         if problem := self._problem(value):
             raise SettingError(f"{key or self.key} = {shown(value)}: {problem}")
         return type(self.default)(value)  # type: ignore[arg-type]

@@ -1,8 +1,8 @@
-"""Settings: every setting, declared once with its default, unit, range and meaning.
+"""Settings: declares every setting with its default, unit, range and meaning.
 
-`failstop run` reads and checks them once (failstop/config.py); the processes get them as `key=value` lines. Command
-sources, interlocks and an arm's joints are tables that the user names: [sources.NAME], [interlocks.NAME],
-[joints.NAME]. One source always exists: cmd_vel.
+`failstop run` reads and checks the settings once (failstop/config.py), and gives them to the processes as `key=value`
+lines. Three kinds of tables have names that the user chooses: command sources [sources.NAME], interlocks
+[interlocks.NAME], and an arm's joints [joints.NAME]. The source cmd_vel always exists.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from failstop.board.facts import ArmFacts
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
-"""The environment variable in which a process finds the settings."""
+"""The environment variable in which a process of the service finds the settings."""
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
-    """A setting with a few allowed words, or any text."""
+    """Declare a setting that has one of a few words, or any text if `allowed` is empty."""
     return Setting(key, default, "", None, None, doc, allowed)
 
 
@@ -331,12 +331,12 @@ MOST_OF_A_FAMILY = 8
 LONGEST_NAME = 16
 NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 FIRST_SOURCE = "cmd_vel"
-"""The source for a program that does not name one."""
+"""The source that a program commands as if it does not name one."""
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
 MOST_TOLD = 8
-"""How many wrong settings one message lists."""
+"""The most mistakes in settings that one message lists."""
 
 
 def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
@@ -347,22 +347,24 @@ def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
 
 
 UNATTENDED_DRIVE = 'web.drive = "on" needs attend.required = "on"'
-"""Why nobody can drive from the page although web.drive is on."""
+"""The reason why nobody can drive from the web page although the setting web.drive is "on"."""
 
 
 class Settings:
-    """A complete, checked set of values."""
+    """A complete and checked set of values for all settings."""
 
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Raises SettingError for unknown keys, wrong types and values out of range (all at once), or for values that
-        contradict each other.
+        """Check the changed values, and fill in the defaults of all others. Raises SettingError. Its message lists all
+        unknown keys, wrong types and values out of range together; otherwise it names values that contradict each
+        other.
 
-        An empty dict as a value is an empty table: for a source or an interlock, one with every default.
+        `changed` has the values by key. An empty dict as a value is an empty table, for example a source with only
+        defaults.
         """
         self.values: dict[str, float | str] = {setting.key: setting.default for setting in DECLARED}
-        # Family, name, key: every value of every named table.
+        # family, name and key of each value in the named tables
         self.named: dict[str, dict[str, dict[str, float | str]]] = {family: {} for family in FAMILIES}
         self.named["sources"][FIRST_SOURCE] = {}
         wrong = []
@@ -406,7 +408,7 @@ class Settings:
             table[last] = declaration(key).check(value, key)
 
     def _fill_named(self) -> None:
-        """Fill in the defaults, in the order of the declarations."""
+        """Fill in the defaults in the named tables, in the order in which their settings are declared."""
         facts = facts_of(self.text("board.kind"))
         joints = facts.arm.joint if facts and facts.arm else {}
         for family, tables in self.named.items():
@@ -419,7 +421,7 @@ class Settings:
                 tables[name] = table
 
     def _cross_check(self) -> None:
-        """Check rules over several settings that are each in their own range."""
+        """Check that values which are each allowed also fit together."""
         every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [
@@ -456,26 +458,27 @@ class Settings:
                 _check_joint(key, table, kind, facts.arm)
 
     def __getitem__(self, key: str) -> float:
-        """The value of a number setting, in the unit with which the key ends."""
+        """The value of a setting that is a number, in the unit at the end of its key."""
         value = self.values[key]
         if isinstance(value, str):
             raise TypeError(f"{key} is a text")
         return value
 
     def text(self, key: str) -> str:
-        """The value of a text setting."""
+        """The value of a setting that is a text."""
         return str(self.values[key])
 
     def on(self, key: str) -> bool:
-        """True if a switch is on."""
+        """True if a setting that is a switch is on."""
         return self.values[key] == "on"
 
     def ns(self, key: str) -> int:
-        """A time in seconds, as nanoseconds."""
+        """The value of a setting that is a time, in nanoseconds."""
         return round(self[key] * 1e9)
 
     def sources(self) -> dict[str, tuple[int, int]]:
-        """The command sources by name, the highest priority first: (priority, timeout_ns)."""
+        """The command sources by name, with their (priority, timeout_ns). The source with the highest priority comes
+        first."""
         found = {
             name: (int(table["priority"]), round(float(table["timeout_s"]) * 1e9))
             for name, table in self.named["sources"].items()
@@ -483,17 +486,17 @@ class Settings:
         return dict(sorted(found.items(), key=lambda source: -source[1][0]))
 
     def interlocks(self) -> dict[str, tuple[int, str]]:
-        """The interlocks by name: (timeout_ns, the text of a refused enable)."""
+        """The interlocks by name, with their (timeout_ns, the text of a refused enable)."""
         return {
             name: (round(float(own["timeout_s"]) * 1e9), str(own["refusal"]) or f"interlock {name} is not satisfied")
             for name, own in self.named["interlocks"].items()
         }
 
     def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int, int]:
-        """The arguments for board_of() of failstop/board/kinds.py: the kind of board, the wheel diameter in m, how many
-        of the board's speed units make one wheel turn per second (0: as usual), the servo of a steered base, the
-        confirmed value of that number (0: none), the baud rate (0: as usual), the CAN id of the second motor, and how
-        many speeds a frame sets."""
+        """The arguments of board_of() in failstop/board/kinds.py. They are the kind of board; the wheel diameter in m;
+        how many of the board's speed units make one wheel turn per second (0 for the board's usual number); the servo
+        of a steered base; the confirmed value of the number of units (0 if not confirmed); the baud rate (0 for the
+        usual one); the CAN id of the second motor; and how many speeds a frame has."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -510,17 +513,17 @@ class Settings:
 
     @property
     def speeds(self) -> int:
-        """How many speeds a frame for the board has, one for each id on the wire."""
+        """How many speeds are in a frame for the board, one for each id on the wire."""
         ids = [id_ for id_, _ in mounted_wheels(self.values)]
         found = layouts.speeds_of(self.text("board.kind"), self.text("wheels.layout"))
         return max(found, max(ids) + 1) if found else len(ids)
 
     def servos(self) -> tuple[int, ...]:
-        """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
+        """The ids of the arm's servos, in the order of its joints. Empty if the robot has no arm."""
         return tuple(int(table["servo"]) for table in self.named["joints"].values())
 
     def flat(self) -> dict[str, float | str]:
-        """Every value by its full key, including those of the named tables."""
+        """Every value by its full key, including the values in named tables."""
         found = dict(self.values)
         for family, tables in self.named.items():
             for name, table in tables.items():
@@ -528,12 +531,12 @@ class Settings:
         return found
 
     def lines(self) -> str:
-        """The values as `key=value` lines, for from_lines."""
+        """The values as `key=value` lines, which from_lines() reads."""
         return "\n".join(f"{key}={value}" for key, value in self.flat().items())
 
     @classmethod
     def from_lines(cls, text: str) -> Settings:
-        """The settings in lines that lines() has made."""
+        """Make Settings from lines that lines() has made."""
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)
@@ -560,7 +563,8 @@ def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFac
 
 
 def declaration(key: str) -> Setting:
-    """The declaration of a key, also in a named table. Raises SettingError if there is none."""
+    """The declaration of the setting with this key, also for a key in a named table. Raises SettingError if there is
+    none."""
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
@@ -571,13 +575,13 @@ def declaration(key: str) -> Setting:
 
 
 def is_setting(key: str) -> bool:
-    """True if this whole key names a setting, also in a named table."""
+    """True if a setting with this full key exists, also in a named table."""
     family, _, rest = key.partition(".")
     return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
 
 
 def _unknown(key: str) -> SettingError:
-    # Imported only after a mistake, because it costs more than this file.
+    # imported only after a mistake, because it takes longer to load than this file
     from difflib import get_close_matches
 
     name = key.split(".")[1] if key.count(".") > 1 else "NAME"
