@@ -1,1 +1,1 @@
-"""The command `failstop` and its screens."""
+"""The command `failstop`, its subcommands, and the screens that they show on a terminal."""

@@ -1,4 +1,4 @@
-"""The command `failstop`: finds the subcommand, and imports only that one."""
+"""The command `failstop`. It finds the module of the subcommand, and imports only that one, so that it starts fast."""
 
 from __future__ import annotations
 
@@ -54,17 +54,19 @@ GROUPS = {
         "ros2": ("ros2.command", "connect ROS 2, so that its nodes drive through the service"),
     },
 }
-"""Groups of `failstop --help`: each command with its module and its purpose."""
+"""The groups of commands in `failstop --help`. Each command has its module and a text that says what it does."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 LABORATORY = "failstop_lab"
-"""The package of the laboratory's commands, which a robot's installation may lack."""
+"""The package with the commands of the laboratory, which injects faults. It may be missing on a robot."""
 HIDDEN = frozenset(("estop", "chaos"))
-"""Commands that `failstop --help` leaves out: a second name, and a tool for people who change failstop."""
+"""Commands that `failstop --help` does not show: a second name for `stop`, and a tool for people who change
+failstop."""
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Errors of standard output that are no defect: nobody reads it, the disk is full, or the terminal has gone."""
+"""Errors of standard output that are no bug in failstop. They mean that no program reads the output, the disk is full,
+or the terminal has been closed."""
 EXAMPLES = "examples:"
-"""The first line below a command's options."""
+"""The line above the examples at the end of a command's help."""
 DESCRIPTION = """Stops your robot when its software crashes or hangs.
 No robot yet? Try `failstop demo`. With a robot on a stand, begin with
 `failstop setup`.
@@ -74,12 +76,12 @@ Python package is missing, 128 plus the number of the signal that ended it
 
 
 SYSTEM = "/usr"
-"""The folder in which the distribution installs."""
+"""The folder into which the Linux distribution installs programs."""
 MAN_PAGES = ("share/man/man1/failstop.1", "share/man/man1/failstop.1.gz")
 
 
 def _has_man_page() -> bool:
-    """True if this installation came with a manual page. The Debian package has one, and pip installs none."""
+    """True if a manual page was installed with failstop. The Debian package installs one, and pip does not."""
     return any(os.path.exists(os.path.join(place, page)) for place in (SYSTEM, sys.prefix) for page in MAN_PAGES)
 
 
@@ -95,7 +97,7 @@ def _usage() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command with these arguments (by default those of this process), and return its exit code."""
     helpers.leave_current_folder()
     standard.fill()
     code = 0
@@ -128,7 +130,7 @@ def _main(words: list[str]) -> int:
 
 
 def _meant(word: str) -> str:
-    """The command that a word resembles, as a question; empty if it resembles none."""
+    """A question such as "did you mean ...?" about a mistyped command. Empty if no command resembles `word`."""
     from difflib import get_close_matches
 
     found = get_close_matches(word.lower(), COMMANDS, 1)
@@ -136,12 +138,12 @@ def _meant(word: str) -> str:
 
 
 def is_laboratory(name: str) -> bool:
-    """True for a command of the laboratory, which a robot's installation may lack."""
+    """True if the command belongs to the laboratory, which may be missing on a robot."""
     return COMMANDS[name][0].startswith(LABORATORY)
 
 
 def here(name: str) -> bool:
-    """True if this installation has the command."""
+    """True if the command is installed."""
     if not is_laboratory(name):
         return True
     from importlib.util import find_spec
@@ -150,8 +152,9 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """The parser of a command, and its module. The end of the command's help shows the module's EXAMPLES, which is a
-    text, or a text for each command of the module. Raises FailstopError if the command is not installed."""
+    """The parser of a command, and its module. The examples at the end of the command's help come from EXAMPLES in that
+    module, which is one text, or a dict with a text for each command. Raises FailstopError if the command is not
+    installed."""
     import argparse
     import textwrap
 
@@ -163,7 +166,8 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
 
     class Help(argparse.RawDescriptionHelpFormatter):
-        """Breaks lines only at spaces, so that what people type is not broken."""
+        """Formats help so that lines are broken only at spaces, because a broken command or path could not be
+        copied."""
 
         def _split_lines(self, text: str, width: int) -> list[str]:
             return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
@@ -176,7 +180,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
 
 
 def examples(module: ModuleType, name: str) -> list[str]:
-    """The lines of a command's EXAMPLES."""
+    """The lines of a command's examples."""
     found: str | dict[str, str] = getattr(module, "EXAMPLES", "")
     text = found if isinstance(found, str) else found.get(name, "")
     return [line.strip() for line in text.splitlines() if line.strip()]
@@ -189,15 +193,15 @@ def _run(name: str, words: list[str]) -> int:
     try:
         arguments = parser.parse_args(options(name, words), argparse.Namespace(command=name))
     except SystemExit as end:
-        # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
+        # argparse exits with 2 if it doesn't understand the arguments. In failstop 2 means that a request was refused.
         return 1 if end.code else 0
     code: int = module.main(arguments)
     return code
 
 
 def _report_error(error: Exception) -> int:
-    """Print an error that has a message for people, and return its exit code. Any other error is a defect and is raised
-    again."""
+    """Print an error whose message is meant for people, and return its exit code. Any other error is a bug, so it is
+    raised again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
@@ -220,8 +224,7 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Advice about an error of too many open files, even if another error was raised because of it; empty for other
-    errors."""
+    """Advice if there were too many open files, also if that has led to another error. Empty for any other error."""
     import resource
 
     from failstop.procs.rights import no_descriptors

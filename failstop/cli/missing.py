@@ -1,13 +1,13 @@
-"""Missing: prints in one line which package this Python can't import. It imports nothing else of failstop, because that
-might fail too."""
+"""Missing: prints which Python package can't be imported, and how to install it. It imports no other module of
+failstop, because that might fail too."""
 
 from __future__ import annotations
 
 import sys
 
 INCOMPLETE = 78
-"""The exit code if a package is missing (EX_CONFIG of sysexits.h). A restart can't help, so neither the systemd unit of
-the ROS 2 bridge nor its launch file restarts it then."""
+"""The exit code if a package is missing (EX_CONFIG of sysexits.h). A restart would not help, so the systemd unit and
+the launch file of the ROS 2 bridge don't restart the bridge after this exit code."""
 DISTRIBUTIONS = {
     "msgpack": ("msgpack", "python3-msgpack"),
     "numpy": ("numpy", "python3-numpy"),
@@ -16,11 +16,13 @@ DISTRIBUTIONS = {
     "serial": ("pyserial", "python3-serial"),
     "tomli": ("tomli", "python3-tomli"),
 }
-"""The modules that failstop needs, each with its name on PyPI and the Debian package for the system's Python."""
+"""The modules that failstop needs. Each has its name on PyPI, and its Debian package for the system's Python (empty if
+there is no such package)."""
 
 
 def text(error: ImportError) -> str:
-    """What is missing, for which Python, and the remedy; empty for a module of failstop itself, which is a defect."""
+    """A text that says what is missing, for which Python, and how to install it. Empty if a module of failstop itself
+    is missing, because that is a bug."""
     module = (error.name or "").partition(".")[0]
     if module == "failstop":
         return ""
@@ -34,7 +36,8 @@ def text(error: ImportError) -> str:
 
 
 def say(error: ImportError) -> int:
-    """Print what is missing, and return the exit code. Raises the error again if it is a defect of failstop."""
+    """Print what is missing, and return the exit code. If a module of failstop itself is missing, the error is raised
+    again."""
     if not (line := text(error)):
         raise error
     sys.stderr.write(f"failstop: {line}\n")

@@ -1,8 +1,8 @@
-"""Standard input, output and error: open them if the program was started without them, and write to them without ever
-failing.
+"""Standard input, output and error. This module makes sure that all three are open, and writes to them without ever
+raising an error.
 
-open() returns the lowest free descriptor. If 1 or 2 were free and the board's port got that number, every line for
-people would go to the board.
+open() returns the lowest descriptor that is free. If standard output or error were closed, the board's port could get
+their descriptor (1 or 2), and all texts for people would go to the board.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import sys
 
 
 def fill() -> None:
-    """Open /dev/null in place of each of the three that is closed. Call it before anything else is opened. Never
-    raises."""
+    """Open /dev/null in place of standard input, output and error if they are closed. Call this before anything else is
+    opened. Never raises."""
     try:
         while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
             os.set_inheritable(fd, True)
@@ -23,12 +23,12 @@ def fill() -> None:
             if getattr(sys, name) is None:
                 setattr(sys, name, os.fdopen(number, "w", closefd=False))
     except OSError:
-        return  # no /dev/null, or no descriptor: no reason not to stop
+        return  # /dev/null is missing, or no descriptor is left; the command still runs, because it may be a stop
 
 
 def say(text: str) -> None:
-    """Write one line to stderr; on a terminal it is wrapped at words. Never raises, because a full disk or a closed
-    terminal is no reason not to do what people asked for."""
+    """Print a line on standard error; on a terminal it is wrapped at spaces. Never raises, because even with a full
+    disk or a closed terminal the command must go on."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
@@ -37,7 +37,8 @@ def say(text: str) -> None:
 
 
 def print_line(text: str) -> None:
-    """Write one line about something that was done to stdout, or to stderr if stdout can't be written. Never raises."""
+    """Print a line about something that was done. It goes to standard output, or if that fails to standard error. Never
+    raises."""
     try:
         sys.stdout.write(folded(text) + "\n")
         sys.stdout.flush()
@@ -47,15 +48,15 @@ def print_line(text: str) -> None:
 
 
 def folded(text: str) -> str:
-    """The text as it should be written to stdout: on a terminal, wrapped at words."""
+    """The text as it is printed on standard output: on a terminal, it is wrapped at spaces."""
     from failstop.supervisor.events import fitted
 
     return fitted(text, 1, 2)
 
 
 def let_go() -> None:
-    """Drop the bytes that stdout still holds. Otherwise the interpreter would try to write them when it exits, and
-    print an error."""
+    """Drop the text that is still waiting to be written to standard output. Otherwise Python would try to write it at
+    exit, and print another error."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)

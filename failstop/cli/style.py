@@ -1,4 +1,4 @@
-"""Style: colours by role, and lines of coloured pieces, which are wrapped or cut to the terminal's width."""
+"""Style: colours for the terminal, and lines that are wrapped or cut to its width."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from unicodedata import combining, east_asian_width
 from failstop.policy.setting import UNITS
 
 Span = tuple[str, str]
-"""A piece of text and its role."""
+"""A piece of text, and its role, which determines its colour."""
 Line = list[Span]
 
 OK = "ok"
@@ -25,28 +25,29 @@ STRONG = "strong"
 PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
-"""Colours from the palette of 256, because terminals show these the same way whatever their theme is. Each is legible
-on black and on white (a contrast of 3.8 or more; a theme's own yellow has 1.1 on white). A console with fewer colours
-shows the closest one."""
+"""The colour of each role. These are colours of the 256-colour palette, because a terminal's theme does not change
+them. All can be read on black and on white (their contrast is at least 3.8, while a theme's yellow may have 1.1 on
+white). A console with fewer colours shows the closest one."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
-"""Matches a word that people copy, so that it is never broken: a command with a path, or a board's JSON frame."""
+"""Matches a text that people copy, so it is never broken across lines: a command with a path, or a JSON frame of the
+board."""
 _UNIT = f"(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\\w/])"
 _WORD = re.compile(f"(?:`[^`]*`|pid [0-9]+|[0-9] {_UNIT}|[^ ])+ *| +")
-"""Matches a word: text without a space in it. A command, a number with its unit, and a process id with the word before
-it count as one word."""
+"""Matches one word with the spaces after it. Some texts with spaces count as one word: a command in backquotes, a
+number with its unit, and "pid" with its number."""
 _NUMBER = re.compile(" *[0-9]+[.] +")
-"""Matches the number of an item of a list."""
+"""Matches the number in front of an item of a list, for example "2. "."""
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
-    """True if this is a terminal that obeys escape sequences, as far as TERM says."""
+    """True if this is a terminal and the variable TERM says that it understands escape sequences."""
     return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
-    """For each role, the parameters of its SGR sequence on this terminal; empty if it shows no colours."""
+    """The escape code (SGR) of the colour of each role. Empty if this terminal shows no colours."""
     return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 
@@ -56,13 +57,13 @@ def _known() -> dict[str, str]:
 
 
 def paint(text: str, role: str) -> str:
-    """The text in the colour of its role, if standard output is a terminal that shows colours."""
+    """The text with the colour of its role. If standard output is no terminal with colours, the text is unchanged."""
     code = _known().get(role)
     return f"\x1b[{code}m{text}\x1b[0m" if code and text else text
 
 
 def width() -> int:
-    """The columns of the terminal; 80 without a terminal."""
+    """The width of the terminal in columns; 80 if there is no terminal."""
     try:
         return max(LEAST_COLUMNS, os.get_terminal_size(1).columns or NO_TERMINAL_COLUMNS)
     except OSError:
@@ -70,14 +71,14 @@ def width() -> int:
 
 
 def cells(text: str) -> int:
-    """How many columns a printable text takes on a terminal."""
+    """How many columns a printable text needs on a terminal."""
     if text.isascii():
         return len(text)
     return sum(0 if combining(c) else 2 if east_asian_width(c) in "WF" else 1 for c in text)
 
 
 def cut(text: str, columns: int) -> str:
-    """The part of a text that fits into this many columns. If it was cut, it ends with an ellipsis."""
+    """The beginning of the text, as far as it fits into this many columns. If it was cut, it ends with an ellipsis."""
     if cells(text) <= columns:
         return text
     while cells(text) >= max(1, columns):
@@ -91,7 +92,7 @@ def plain(line: Line) -> str:
 
 
 def painted(line: Line, columns: int | None = None) -> str:
-    """One line for the terminal, cut to `columns` (None: as long as it is)."""
+    """A line as text with colours, cut to `columns`. If `columns` is None, it is not cut."""
     parts = []
     for text, role in line:
         if columns is not None:
@@ -102,28 +103,28 @@ def painted(line: Line, columns: int | None = None) -> str:
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print these lines. Characters that standard output can't represent are printed as question marks."""
+    """Print these lines. A character that standard output can't show becomes a question mark."""
     text = "".join(f"{painted(line)}\n" for line in lines)
     encoding = sys.stdout.encoding or "ascii"
     sys.stdout.write(text.encode(encoding, "replace").decode(encoding))
 
 
 def warn(text: str, end: str = "\n") -> None:
-    """Print paragraphs on standard error, in at most 80 columns."""
+    """Print paragraphs on standard error, at most 80 columns wide."""
     sys.stderr.write(paragraphs(text, min(NO_TERMINAL_COLUMNS, width())) + end)
     sys.stderr.flush()
 
 
 def record(found: object) -> list[Line]:
-    """A value as JSON, for programs. Values that JSON does not have are written as Python shows them."""
+    """A value as JSON, for programs. Values for which JSON has no form are written as Python shows them."""
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
 
 
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
-    """Break a line at spaces so that each part fits; all parts after the first are indented. Only a word that is longer
-    than a line is broken."""
+    """Break a line at spaces, so that each part fits. All parts after the first are indented. A word is broken only if
+    it is longer than a line."""
     text, roles = plain(line), [role for text, role in line for _ in text]
     starts, at, used = [0], 0, 0
     for piece in _pieces(text, columns - indent):
@@ -141,8 +142,8 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 
 def _pieces(text: str, room: int) -> Iterator[str]:
-    """The pieces that are not broken, each with the spaces after it: words, and commands as far as they fit. A longer
-    word is split into letters, unless people copy it."""
+    """Split a text into the pieces that may not be broken, each with the spaces after it. These are words, and commands
+    that fit into `room` columns. A word that is too long is split into letters, except if people copy it."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if _WHOLE.search(word):
@@ -153,7 +154,8 @@ def _pieces(text: str, room: int) -> Iterator[str]:
 
 
 def paragraphs(text: str, columns: int) -> str:
-    """The text with each of its lines wrapped. The item of a numbered list is indented behind its number."""
+    """Wrap each line of a text. In a numbered list, the text of an item is indented so far that the numbers stand
+    out."""
     rows: list[Line] = []
     for line in text.split("\n"):
         number = _NUMBER.match(line)
@@ -162,7 +164,8 @@ def paragraphs(text: str, columns: int) -> str:
 
 
 def table(rows: list[Line]) -> list[Line]:
-    """The rows with aligned columns, two spaces apart. A text that begins with a space is aligned to the right."""
+    """Align the columns of a table, with two spaces between them. A text that begins with a space is aligned to the
+    right."""
     widths = [max(cells(text.strip()) for text, _ in column) for column in zip(*rows, strict=True)]
     found = []
     for row in rows:
@@ -176,8 +179,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """The lines that fit on the screen. Empty lines are dropped first, then the last ones, and a line says that some
-    are missing."""
+    """The lines that fit on the screen. If there are too many, empty lines are dropped first, and then the last lines.
+    In that case a line at the end says how many are missing."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

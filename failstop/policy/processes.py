@@ -14,8 +14,8 @@ processes that react to it.
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""If the port owner or the supervisor hangs, no wheel turns for longer than this, in ns. The stopper notices a hang of the
-port owner. The supervisor and the port owner also notice if they themselves were held up."""
+"""If the port owner or the supervisor hangs, no wheel turns for longer than this, in ns. The stopper notices a hang of
+the port owner. The supervisor and the port owner also notice if they themselves were held up."""
 
 
 class Process(Data):

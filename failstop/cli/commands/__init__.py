@@ -1,4 +1,5 @@
-"""The subcommands of `failstop`: each module has add_arguments(parser) and main(arguments) -> exit code."""
+"""The subcommands of `failstop`. Each module has add_arguments(parser), and main(arguments), which returns the exit
+code."""
 
 from __future__ import annotations
 
@@ -7,12 +8,12 @@ from math import inf
 
 
 def add_name(parser: ArgumentParser) -> None:
-    """Add the option --name, which chooses the service."""
+    """Add the option --name, which selects the service."""
     parser.add_argument("--name", default="failstop", help="the service's name (default: failstop)")
 
 
 def seconds(text: str) -> float:
-    """The value of an option that is a time in seconds. Raises ArgumentTypeError."""
+    """Read the value of an option that is a time in seconds. Raises ArgumentTypeError if it is not a valid time."""
     try:
         found = float(text)
     except ValueError:

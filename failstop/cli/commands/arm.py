@@ -1,4 +1,4 @@
-"""`failstop arm`: shows where the arm is, moves it, holds it or releases it."""
+"""`failstop arm`: shows where the arm is, moves it, holds it, or switches its torque off."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ WHAT = (
     "drive, tuck: go to the pose of that name; hold: stop where the arm is; release: switch off the torque, so the arm "
     "falls; read: ask the servos where they are, then show the status"
 )
-"""What each of VERBS does."""
+"""The help text about what each of VERBS does."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop arm`."""
+    """Define the options of `failstop arm`."""
     add = parser.add_argument
     add("verb", nargs="?", default="status", choices=VERBS, help=WHAT)
     add(
@@ -66,7 +66,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Carry out the request. Raises Refused if it is refused."""
+    """Run the command. Raises Refused if the service refuses the request."""
     verb = arguments.verb
     with Robot(arguments.name, client="failstop arm") as robot:
         arm, values, progress = robot.arm, _values(arguments.joints), Progress()
@@ -116,7 +116,7 @@ def _values(words: list[str]) -> dict[str, float]:
 
 
 def _lines(arm: ArmState) -> list[style.Line]:
-    """The arm's state as lines, with a table of its joints."""
+    """The arm's state as lines for the terminal, with a table of its joints."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
     head += [("wrong", text) for text in arm.wrong]
     head += [("refused", arm.refused)] if arm.refused else []

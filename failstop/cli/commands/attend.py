@@ -1,5 +1,5 @@
-"""`failstop attend`: an operator at a terminal confirms to be present, for a robot that moves only while an operator
-is."""
+"""`failstop attend`: an operator at a terminal confirms to be present. Some robots are allowed to move only while an
+operator is present."""
 
 from __future__ import annotations
 
@@ -29,20 +29,21 @@ failstop attend --as Anna
 
 PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
-"""Processes that answer in a terminal's place, whether or not anybody is at it."""
+"""Programs that answer for the terminal even if nobody sits at it, by the names of their processes."""
 PLACES = 60
-"""How many different columns are used in turn. With a question every 0.1 s they repeat after 6 s."""
+"""How many different columns the cursor is put into, one after the other. There is a question every 0.1 s, so a column
+is used again after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
-"""Matches the first piece of an answer that arrives in two pieces."""
+"""Matches the first part of an answer whose rest has not arrived yet."""
 
 
 class Questions:
-    """Proves that a terminal is still at the other end of a line, such as ssh. Pure: times are arguments.
+    """Proves that a terminal is still at the other end of a connection, such as ssh. Pure, because times are arguments.
 
-    Each question puts the cursor into another column and asks the terminal where it is. The terminal answers by itself
-    and in order, so an answer belongs to the oldest question with that column, however late it comes. So an answer that
-    a network has held back proves only that the terminal was there when it was asked.
+    Each question moves the cursor to another column, and asks the terminal where the cursor is. The terminal answers by
+    itself, in the order of the questions. So an answer belongs to the oldest open question with that column, even if it
+    comes late. A late answer proves only that the terminal was there when the question was asked.
     """
 
     def __init__(self) -> None:
@@ -50,17 +51,17 @@ class Questions:
         self._number = 0
         self._rest = b""
         self.proven_ns = 0
-        """When the newest question that has an answer was asked; 0: none has an answer."""
+        """When the newest question that was answered was asked (CLOCK_MONOTONIC, ns); 0 if none was answered yet."""
 
     def ask(self, now_ns: int, row: int) -> str:
-        """The next question, as bytes to write to the terminal."""
+        """Make the next question, as text to write to the terminal."""
         column = 2 + self._number % PLACES
         self._number += 1
         self._open.append((column, now_ns))
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """Remove the terminal's answers from its bytes, and return the rest, which a person has typed."""
+        """Take the terminal's answers out of its bytes. Returns the rest, which a person has typed."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._answered(int(found[2]))
@@ -73,17 +74,17 @@ class Questions:
         if any(asked == column for asked, _ in self._open):
             asked = 0
             while asked != column:
-                asked, self.proven_ns = self._open.popleft()  # those before it were lost: answers come in order
+                asked, self.proven_ns = self._open.popleft()  # answers come in order
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop attend`."""
+    """Define the options of `failstop attend`."""
     parser.add_argument("--as", dest="who", default="", metavar="NAME", help="the operator's name (default: this user)")
     add_name(parser)
 
 
 def main(arguments: Namespace) -> int:
-    """Attend until q, a signal, or the end of the line. Raises FailstopError."""
+    """Run the command. It ends when q is typed, a signal arrives, or the connection ends. Raises FailstopError."""
     if other := _between():
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
@@ -108,7 +109,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """The program above this process that would answer in the terminal's place; empty if there is none."""
+    """The name of a program above this process that would answer for the terminal, for example tmux. Empty if there is
+    none."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):
         while process := process.parent() if process else None:

@@ -1,4 +1,5 @@
-"""`failstop config`: shows every setting with its value, unit and origin, checks a file, or prints the example."""
+"""`failstop config`: shows every setting with its value, unit and origin, checks a settings file, or prints an
+example."""
 
 from __future__ import annotations
 
@@ -73,11 +74,11 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
         "ros2": {"timeout_s": 0.3, "refusal": "the ROS 2 bridge is away, or two nodes publish cmd_vel"},
     },
 }
-"""Named tables that nobody has until they write them."""
+"""Examples of tables whose names the user chooses. Without a settings file they don't exist."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop config`."""
+    """Define the options of `failstop config`."""
     parser.add_argument(
         "--config", metavar="FILE", help="TOML file with settings (without it, every setting has its default)"
     )
@@ -97,7 +98,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print what is asked for; raises SettingError when the file is not right."""
+    """Run the command. Raises SettingError if the settings file is wrong."""
     if arguments.example:
         sys.stdout.write(example())
     elif arguments.check is not None:
@@ -125,7 +126,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _fastest(settings: Settings, metres: float) -> str:
-    """The speed limit for a stopping distance, in words."""
+    """A text that says how fast the robot may drive if it must stop within this distance."""
     if not metres > 0:
         raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
     _, latest = distance.furthest(settings)
@@ -137,8 +138,8 @@ def _fastest(settings: Settings, metres: float) -> str:
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:
-    """Every setting by its whole key: its value, unit, origin and allowed values. The origin is "default" or the file's
-    path. Raises SettingError."""
+    """Every setting by its whole key, with its value, unit, origin and allowed values. The origin is "default" or the
+    path of the file. Raises SettingError."""
     read = config.read(path)
     return {
         key: {
@@ -152,7 +153,7 @@ def rows(path: str | None) -> dict[str, dict[str, float | str]]:
 
 
 def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
-    """The rows as lines, an empty one between two groups."""
+    """The settings from rows() as a table for the terminal, with an empty line between two groups."""
     cells = []
     for key, row in found.items():
         setting = declaration(key)
@@ -169,8 +170,9 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """A complete configuration: every default, commented out so that none outlives its version, and samples. It has no
-    [table], because a line that somebody adds below one would be that table's."""
+    """The text of an example settings file, with every default and some sample tables. All of it is commented out, so
+    that no default is kept when a later version changes it. Every setting has its whole key, without a [table] line,
+    because a line that somebody adds below a [table] would belong to that table."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {
@@ -180,7 +182,8 @@ def example() -> str:
         if declared:
             parts.append(_toml(group, declared, "#"))
         if group == "sources":
-            # Its timeout is left out: a copy of the command timeout would hide a change of that one.
+            # The timeout is left out. A copy of the command timeout here would stay the same if somebody changed that
+            # setting.
             first = f"sources.{FIRST_SOURCE}"
             parts.append(_toml(first, {"priority": Settings().flat()[f"{first}.priority"]}, "#") + "\n")
         samples = SAMPLES.get(group, {}).items()
@@ -200,7 +203,8 @@ def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
 
 
 def literal(setting: Setting, value: float | str) -> str:
-    """A setting's value as TOML. Its text must be a declared one: printable, without quotes or backslashes."""
+    """A setting's value in TOML. A text must be printable, without quotes and backslashes, as all declared texts
+    are."""
     if isinstance(value, str):
         return f'"{value}"'
     return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)

@@ -1,4 +1,4 @@
-"""`failstop doctor`: shows what on this computer weakens failstop's promises, with the command that helps."""
+"""`failstop doctor`: shows what on this computer makes failstop less reliable, with the command that helps."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ SHOWN = {
     SKIP: (style.DIM, "not known"),
     OK: (style.OK, "fine"),
 }
-"""For each level: its colour, and the word with which its findings are counted."""
+"""How each level is shown: its colour, and the word for the number of findings of this level."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
-"""Settings whose values may contain a password, or reveal where the robot is."""
+"""Settings that the report leaves out, because their values may contain a password or show where the robot is."""
 UNBROKEN = 1 << 16
-"""So many columns that no finding and no remedy is wrapped."""
+"""A width at which no line is ever wrapped."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop doctor`."""
+    """Define the options of `failstop doctor`."""
     add = parser.add_argument
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add(
@@ -65,7 +65,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print the findings. The exit code is 1 if one of them is a failure."""
+    """Run the command. The exit code is 1 if at least one finding is a failure."""
     look = Look(check_name(arguments.name), arguments.config, arguments.device, arguments.quick)
     found = table.examine(look)
     worst = found[0][1].level
@@ -84,7 +84,8 @@ def main(arguments: Namespace) -> int:
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
-    """The findings, versions, settings and the last incident, without the values of WITHHELD and the host's name."""
+    """The text of a report that can be sent to others. It has the findings, versions, settings and the last incident,
+    but not the values of WITHHELD and not the name of this computer."""
     try:
         with files.as_written(meant := files.find(files.LAST, look.name, os.environ)):
             incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))
@@ -95,7 +96,7 @@ def report(look: Look, told: dict[str, Any]) -> str:
         {str(one.metadata["Name"]): one.version for one in distributions()},
     )
     private = {str(each.get(key, "")) for each in (settings, incident.get("settings", {})) for key in WITHHELD}
-    # The longest first: one may be part of another.
+    # The longest text first, because a shorter one may be part of it.
     words = sorted({*private, str(incident.get("host", ""))} - {""}, key=len, reverse=True)
     told = {**told, "packages": packages, "settings": settings, "incident": incident}
     return json.dumps(_without(words, told), indent=2) + "\n"
@@ -112,7 +113,8 @@ def _without(words: list[str], told: Any) -> Any:
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
-    """The findings for people, wrapped to this many columns. Commands are not wrapped, so that they can be copied."""
+    """The findings as lines for people, wrapped to this many columns. Commands are not wrapped, so that they can be
+    copied."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []

@@ -1,4 +1,4 @@
-"""`failstop events`: lists the events since the service's start, and follows new ones."""
+"""`failstop events`: lists the events since the service was started, and shows new ones as they happen."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ failstop events --json | jq -r .text   # for programs
 """
 
 AGAIN_S = 0.5
-"""How often to look for a service while none is running, s."""
+"""While no service is running, look for one this often, in seconds."""
 UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop events`."""
+    """Define the options of `failstop events`."""
     add = parser.add_argument
     add("-f", "--follow", action="store_true", help="keep printing new events, even after the service restarts")
     add("--since", metavar="AGE", help="only events that are younger than AGE, for example 30s, 10m, 2h or 1d")
@@ -42,7 +42,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print events; with --follow, until Ctrl-C."""
+    """Run the command. With --follow it runs until Ctrl-C."""
     name = arguments.name
     since_s = since(arguments.since, time.time()) if arguments.since else 0.0
     chosen = kinds(arguments.kind) if arguments.kind else None
@@ -68,7 +68,7 @@ def main(arguments: Namespace) -> int:
         log = EventLog(name)
         show(log.read())
     except NoService as error:
-        # The last words of a service that has died and was not started again.
+        # the last events of a service that has died and was not started again
         show(dead[1] if (dead := left(name)) else [])
         raise refusal(name, error) from None
     while arguments.follow:
@@ -82,7 +82,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _again(name: str) -> EventLog:
-    """Wait for the next run, and return its log."""
+    """Wait until the service is running again, and return its events."""
     while True:
         with suppress(FailstopError):
             return EventLog(name)
@@ -90,21 +90,22 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """The line that is shown where the wall clock jumped between two events, because times of day before and after it,
-    and --since, can't be compared then."""
+    """A line that says how far the wall clock has jumped between two events; empty if it has not. People must know
+    that, because then they can't compare the times of day before and after the jump."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
-    """The lines of an event for people, wrapped to the terminal's width; `columns` None: one line, however long."""
+    """An event as lines for people, wrapped to this many columns. If `columns` is None, it is one line of any
+    length."""
     line = summary.event(event, now_s)
     indent = sum(style.cells(text) for text, _ in line[:2])
     return [line] if columns is None else style.wrap(line, columns, indent if indent < columns // 2 else 2)
 
 
 def kinds(text: str) -> frozenset[str]:
-    """The kinds in a text such as `stop,died`. Raises FailstopError for an unknown kind."""
+    """The kinds of events in a text such as `stop,died`. Raises FailstopError for an unknown kind."""
     found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in EVENT_KINDS]
     if unknown := sorted(found.difference(known)):
         raise FailstopError(f"no events have the kind {', '.join(unknown)}; the kinds are {', '.join(known)}")
@@ -112,7 +113,8 @@ def kinds(text: str) -> frozenset[str]:
 
 
 def since(text: str, now_s: float) -> float:
-    """The Unix time that lies this long in the past: `30s`, `10m`, `1.5h`. Raises FailstopError."""
+    """The Unix time at which an age such as `30s`, `10m` or `1.5h` began. Raises FailstopError if the text is not an
+    age."""
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():

@@ -1,4 +1,4 @@
-"""`failstop incident`: lists, shows, plots or exports the incidents that the black box has saved."""
+"""`failstop incident`: lists, shows, plots or exports the saved incidents. An incident is the record of one stop."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ WHICH = (
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
-"""How long to wait for the file of a stop, s. It is saved 2.4 s after the stop."""
+"""How long to wait for the file of a stop, in seconds. The service saves it 2.4 s after the stop."""
 TOGETHER_NS = 500_000_000
-"""The last stop may repeat the latched one with another cause, up to this much later. Then it is in the latched stop's
-file."""
+"""If the service's last stop came at most this long (ns) after the latched stop, it is part of the same incident, so
+there is no other file for it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop incident`."""
+    """Define the options of `failstop incident`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|plot|export")
     listing = actions.add_parser("list", help="list all saved incidents, the newest last")
     told = actions.add_parser("show", help="print what happened: first the facts, then the events in order")
@@ -72,7 +72,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Carry out one action. Raises FailstopError."""
+    """Run the command. Raises FailstopError."""
     if arguments.action == "list":
         return _list(arguments)
     meant = _meant(arguments)
@@ -83,7 +83,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
-    """The lines about an incident, or about the file that was made from it. Raises IncidentError."""
+    """The lines to print about an incident. If the command is plot or export, it writes the file, and the lines name
+    it. Raises IncidentError."""
     if arguments.action == "show":
         if arguments.json:
             return record(story.as_dict(incident))
@@ -100,7 +101,8 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """What speaks against the wall-clock times of an incident, judged by the other saved incidents."""
+    """The reason why the times of day in an incident may be wrong, because the clock was set. Empty if there is no such
+    reason. It is found by comparison with the other saved incidents."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -119,9 +121,9 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """The path of the incident that is meant. If the last stop was a moment ago, it is the last incident, so wait for
-    its file. Raises IncidentError."""
-    # A date and a time are two words.
+    """The path of the file of the incident that the user means. If the robot was stopped a moment ago and the user
+    means the last incident, this waits for its file. Raises IncidentError."""
+    # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
         return files.find(wanted, arguments.name, os.environ)
@@ -140,8 +142,8 @@ def _meant(arguments: Namespace) -> str:
 
 
 def _newer(name: str, stop: Stop | None) -> str:
-    """What happened after the newest saved incident, and why no file has it; empty if nothing is known. `stop`: the
-    service's last stop, if no file has it."""
+    """A text about something that happened after the newest saved incident, and the reason why no file has it. Empty if
+    nothing is known to have happened. `stop`: the service's last stop, if it is not in any file."""
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
@@ -151,8 +153,8 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """That the wheels were stopped without a latched stop, and when, so that there is no incident of it. Empty if
-    nothing stopped them after the last latched stop, or a stop is latched now."""
+    """A text that says when the wheels were last stopped without a latched stop, and that there is no incident of that.
+    Empty if nothing has stopped them since the last latched stop, or if a stop is latched at present."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:
@@ -166,23 +168,23 @@ def unlatched(name: str) -> str:
 
 
 def unsaved(name: str) -> Stop | None:
-    """The service's last stop, if it is in no file; else None."""
+    """The service's last stop, if it is not saved in any file; else None."""
     try:
         state, run = StateReader(name).read(), client.run(name)[0].rpartition(".")[2]
     except FailstopError:
         return None
     stop = state.last_stop
-    # A cause that comes while a stop is latched belongs to that one's file.
+    # If another cause comes while a stop is latched, it is saved with the latched stop.
     if not stop or state.cause not in (None, stop.cause):
         return None
     heads, _ = files.heads(name, files.folders(name, os.environ))
-    # By the run and its monotonic clock: the wall clock may have been set since.
+    # Compare the run and its monotonic time, because somebody may have set the wall clock since.
     saved_ns = (head["cause_ns"] for head in heads if head.get("run") == run)
     return None if any(ns > stop.noticed_ns - TOGETHER_NS for ns in saved_ns) else stop
 
 
 def failed(name: str, stop: Stop) -> str:
-    """Why the service could not save the incident of its last stop; empty if it has not reported anything."""
+    """The reason why the service could not save the incident of its last stop. Empty if it has reported none."""
     try:
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:

@@ -1,4 +1,5 @@
-"""`failstop enable`, `disable`, `reset`, `limit` and `drive`: send one request to the service, and print its answer."""
+"""`failstop enable`, `disable`, `reset`, `limit` and `drive`: each sends a request to the service and prints the
+answer."""
 
 from __future__ import annotations
 
@@ -46,11 +47,12 @@ ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
-"""How long to wait after a process has died, s. By then it was restarted, so people need not be told to wait for it."""
+"""How long to wait after a process has died, in seconds. The process has normally been restarted by then, so the
+message need not say to wait for it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of one of these commands. The last word of the parser's name says which."""
+    """Define the options of one of these commands. The parser's name ends with the command."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
         add(
@@ -69,7 +71,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Send the request. Raises Refused if it is refused."""
+    """Run the command. Raises Refused if the service refuses the request."""
     command, progress = arguments.command, Progress()
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
@@ -80,7 +82,7 @@ def main(arguments: Namespace) -> int:
             "drive": lambda: _drive(robot, (arguments.vx, arguments.vy, arguments.wz), arguments.seconds),
         }
         try:
-            with progress:  # with an arm an enable takes seconds
+            with progress:  # with an arm, enabling takes seconds
                 said = verbs[command]()
             standard.print_line(said)
             if command == "enable" and (state := robot.state):
@@ -89,14 +91,14 @@ def main(arguments: Namespace) -> int:
                     standard.say(f"unproven: {why}, so no stop is known to reach the wheels; {see_to}")
                 if doubt := verdict.doubt(state):
                     standard.say(f"{doubt}; next: {steps.line(state)}")
-        except ValueError as error:  # out of bounds, or not finite
+        except ValueError as error:  # a value is out of range or not finite
             raise FailstopError(str(error)) from None
     return 0
 
 
 def _limit(robot: Robot, percent: float | None) -> str:
-    """Set the limit, or return it (`percent` None). The gate knows which limits are too low. Raises Refused for a value
-    that is not a percentage."""
+    """Set the speed limit, or with `percent` None return a text about the present limit. Raises Refused for a value
+    that is not a percentage; the gate refuses limits that are too low."""
     if percent is None:
         now = robot.state.speed_limit
         return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
@@ -106,8 +108,9 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
-    """Drive at a velocity for a while, then command zero. It is a manual command, because a person has typed it. Raises
-    Refused as soon as something blocks the wheels or another source drives, and also if no command ever counted."""
+    """Drive at a velocity for some time, and then command zero. These are manual commands, because a person has typed
+    them. Raises Refused as soon as something blocks the wheels or another source drives. Also raises it if no command
+    has moved the wheels."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
@@ -134,7 +137,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
 
 
 def _blocked(robot: Robot) -> Refused | None:
-    """Why driving would move nothing, with the command that helps; None if it would."""
+    """The reason why a drive command would move nothing at present, with the command that helps. None if it would move
+    the robot."""
     state = robot.state
     if state.cause:
         return Refused(IS_LATCHED, state.cause, steps.line(state))

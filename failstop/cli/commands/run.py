@@ -1,4 +1,5 @@
-"""`failstop run`: runs the service in the foreground. It writes the stop before it refuses anything."""
+"""`failstop run`: runs the service in the foreground. Before anything can make it fail, it writes a stop to the
+port."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ OF_SETTINGS = "the stop is written to {}"
 OF_LAST_RUN = "the stop of the last run's board is written to {}"
 OF_ANOTHER = "{}; if another board is there, use the POWER SWITCH"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
-"""Errors that keep the service from starting."""
+"""Errors because of which the service does not start."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings
@@ -35,7 +36,7 @@ failstop run --name left --device /dev/ttyACM1  # a second robot
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop run`."""
+    """Define the options of `failstop run`."""
     parser.add_argument(
         "--config", metavar="FILE", help="TOML file with settings (without it, every setting has its default)"
     )
@@ -44,7 +45,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Write the stop, then become the supervisor. Raises errors that main.py prints in one line."""
+    """Write a stop to the port, then become the supervisor. Raises errors that main.py prints as one line."""
     device, board, read, of = _device(arguments)
     port, lost = None, None
     try:
@@ -67,18 +68,20 @@ def main(arguments: Namespace) -> int:
 
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
-    """The port and the board to which the stop goes: what the file names, even if something else in it is wrong. If it
-    can't be read, those of the last run, or the defaults. Also returns the file's settings, unchecked; None if it can't
-    be read, because the stop does not wait for the reason; and what is to be said of the port once the stop is out.
-    Raises FailstopError."""
+    """Decide to which port and for which board the first stop is written. The settings file says so, even if other
+    settings in it are wrong. If the file can't be read, the stop of the last run is used, or else the defaults.
+
+    Returns the port; the board; the settings in the file, unchecked, or None if they can't be read; and a text about
+    the port, to print after the stop. Raises FailstopError.
+    """
     if (read := _read(arguments.config)) is None:
-        from failstop.board import kept  # only now: its import would hold up the first stop
+        from failstop.board import kept  # imported only here, so that the first stop does not wait for it
 
         last = instance.last(arguments.name)
-        # The stop is bytes that this user or root has kept, and no program.
+        # These are stored bytes of a stop, not a program, and this user or root has written them.
         if last.owner in (0, os.geteuid()) and (known := kept.unpack_stop(last.stop)):
             return arguments.device or last.device, known, None, OF_LAST_RUN
-        read = _read(arguments.config)  # what kept it from being read may be over
+        read = _read(arguments.config)  # try again, because the file may be readable now
     found = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}
     for key in found:
         with contextlib.suppress(SettingError):
@@ -93,15 +96,16 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None,
 
 
 def _read(path: str | None) -> dict[str, object] | None:
-    """What a settings file sets, unchecked; None if it can't be read."""
+    """The settings in a settings file, unchecked. None if the file can't be read."""
     with contextlib.suppress(Exception):
         return config.read(path)
     return None
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
-    """Become the supervisor. It returns only if there is no port but nothing else is wrong. Raises one of REFUSALS."""
-    from failstop.supervisor import fit, status  # their imports would hold up the first stop
+    """Become the supervisor. This returns only if the port can't be used and nothing else is wrong. Raises one of
+    REFUSALS."""
+    from failstop.supervisor import fit, status  # imported only here, so that the first stop does not wait for them
 
     rights.raise_limits()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
@@ -117,7 +121,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 
 def _again(arguments: Namespace) -> str:
-    """The command line that starts this run again from any folder, quoted for a shell."""
+    """The command line that starts this service again from any folder, quoted for a shell."""
     from failstop.supervisor.status import own_unit
 
     if (unit := instances.unit_of(arguments.name)) == own_unit():

@@ -1,4 +1,4 @@
-"""`failstop status` (`-w`: live) shows the state; `failstop why` says in a few lines why the wheels are stopped."""
+"""`failstop status` shows the state, with `-w` live. `failstop why` says in a few lines why the wheels are stopped."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ failstop why --json | jq -r '.do[]'  # only the steps to take
 }
 
 MOST_COLUMNS = 100
-"""The longest line that `failstop why` prints, columns, because longer lines are hard to read."""
+"""The longest lines that `failstop why` prints, in columns. Longer lines are hard to read."""
 LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
-"""How many values a sparkline can show. On a wider terminal there is a gap."""
+"""The most values that a sparkline can show. On a wider terminal the rest of its row stays empty."""
 SLOW_S = 0.5
-"""How often ages and the process table are drawn, s, because digits that change faster can't be read."""
+"""How often ages and the process table are redrawn, in seconds. Digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
 TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
 NAMES = 32
-"""The columns before a sparkline."""
+"""The number of columns before a sparkline."""
 BARS = "▁▂▃▄▅▆▇█"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of one of the two commands. The parser's name says which."""
+    """Define the options of `failstop status` or `failstop why`. The parser's name says which of the two it is."""
     how = parser.add_mutually_exclusive_group()
     if parser.prog.endswith("status"):
         live = "show the state live, with velocity and vibration; q or Ctrl-C ends it"
@@ -62,8 +62,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print what was asked for, or show it live. If the service has died, raise NoService with what is still known
-    about it."""
+    """Run the command. If the service has died, raises NoService with what is still known about it."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -96,7 +95,7 @@ def _why(name: str, *, as_json: bool) -> int:
 
 
 def _watch(name: str) -> int:
-    """Show the state live until q. The exit code is then 0, else 128 plus the signal's number."""
+    """Show the state live. If q ends it, the exit code is 0, else 128 plus the number of the signal."""
     from failstop.cli.screen.terminal import Terminal
 
     follower, live = Follower(name), Live(name)
@@ -115,13 +114,14 @@ def _watch(name: str) -> int:
 
 
 def spark(values: Iterable[float | None], top: float, columns: int) -> str:
-    """The newest `columns` values as bars, the newest at the right; `top` and above is a full bar, None a gap."""
+    """Draw the last `columns` values as bars, the newest at the right. A value of `top` or more is a full bar. None is
+    a gap."""
     bars = (" " if value is None else BARS[round(min(1.0, value / top) * (len(BARS) - 1))] for value in values)
     return "".join(bars)[-columns:].rjust(columns)
 
 
 class Live:
-    """The live screen, with what it remembers from one state to the next."""
+    """The live screen of `failstop status -w`. It remembers earlier values for the sparklines."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -134,9 +134,9 @@ class Live:
     def lines(
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
     ) -> list[Line]:
-        """The screen for a state. Call it at a steady rate, because each call is one step of the sparklines. `mono_s`:
-        time.monotonic(); `rows`: the rows of the terminal, of which the last events fill the rest; `events`: those of
-        this run, the oldest first."""
+        """The lines of the screen for a state. Each call adds one step to the sparklines, so call it at a steady rate.
+        `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the last events fill
+        the rows that are left. `events`: the events of this run, the oldest first."""
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         fact = state.turning.does, state.turning.unexpected
@@ -172,7 +172,7 @@ class Live:
         return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (spark(values, top, columns - NAMES), role)]
 
     def gone(self, note: str, columns: int) -> list[Line]:
-        """The screen while no service is running."""
+        """The lines of the screen while no service is running."""
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
             self._title("", columns),
@@ -188,8 +188,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """The last events, as many as there are rows, one in each row. Their next steps are left out, because the screen
-    shows the next step further up."""
+    """The last events, one in each row, as many as fit into `room` rows. Their next steps are left out, because the
+    next step is shown higher up on the screen."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

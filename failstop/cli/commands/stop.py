@@ -1,5 +1,6 @@
-"""`failstop stop`, and its other name `failstop estop`. It asks the running service to stop. If no service is running,
-or it does not obey, it writes the stop to the port itself, so it works without anything else."""
+"""`failstop stop`, also called `failstop estop`. It asks the running service to stop the robot. If no service is
+running, or if the service does not stop, it writes the stop to the port itself. So it works even if everything else has
+failed."""
 
 from __future__ import annotations
 
@@ -38,13 +39,13 @@ BAUD, CAN_ID = "board.baud", "board.can_id"
 DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_ID)}
 
 END_SERVICE_S = 12.0
-"""With --end-service, all work is done within this time, s. It is shorter than the unit's TimeoutStopSec, after which
-systemd would kill this program, and leave alive what it has not killed yet."""
+"""How long the whole command may take with --end-service, in seconds. The limit is shorter than TimeoutStopSec of the
+systemd unit, because after that time systemd would kill this program before it has killed the rest of the service."""
 STALLED_S = 1.0
-"""The part of END_SERVICE_S that is spent on a port that exists but accepts no bytes, s. Another unit goes on trying
-after the service has ended."""
+"""How much of END_SERVICE_S may be spent on a port that exists but accepts no bytes, in seconds. When the service has
+ended, another unit goes on trying."""
 REST_S = 1.0
-"""How long killed processes may take to end, s, because a write to a port that hangs can hold one up."""
+"""How long to wait for killed processes to end, in seconds. A write to a port that hangs can delay their end."""
 
 EXAMPLES = """\
 failstop stop
@@ -55,7 +56,7 @@ failstop stop --config /etc/failstop/failstop.toml
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of the two commands."""
+    """Define the options of both commands."""
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
     parser.add_argument("reason", nargs="*", help="why you stop the robot; `failstop status` and the journal show it")
     add_name(parser)
@@ -91,9 +92,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop. The exit code is 1 even though a stop was written, if it may have gone to the wrong port, or if the board
-    could answer but does not (a service may report that too). It is also 1 if --end-service is not allowed here. Raises
-    FailstopError if no stop could be written in time, and SettingError."""
+    """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
+
+    The exit code is 1 if no stop is known to have reached the board. So it is 1 even after a stop was written if that
+    may have been the wrong port, or if the board could answer but does not. It is also 1 if --end-service is not
+    allowed here.
+    """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)
@@ -113,7 +117,7 @@ def main(arguments: Namespace) -> int:
 
 
 class Order(Data):
-    """One stop that must get to the board, in whatever way."""
+    """One stop that must reach the board in some way."""
 
     name: str
     """The name of the service."""
@@ -123,26 +127,26 @@ class Order(Data):
 
 
 Outcome = int | str
-"""The exit code if a stop was written; else the reason why none was, for people (empty if there is nothing to say)."""
+"""The exit code if a stop was written. Otherwise the reason why no stop was written, as a text, which may be empty."""
 NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask the services that use the port that the user has named, whatever their names are. If the user has named no
-    port, ask the service of this name."""
+    """Ask a running service to stop. If the user has named a port, this asks every service that may use this port,
+    whatever its name is. Otherwise it asks the service with the name of this order."""
     try:
         target = order.target
         device = target.wanted()
         running = instances.listening() if device else [order.name] if instances.listens(order.name) else []
         return _ask(order, running, device) if running else ""
-    except Exception as error:  # the port is still to be written to
+    except Exception as error:  # whatever has failed, the stop can still be written to the port
         return f"no service could be asked ({error})"
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask these services, one after the other, until one has stopped. `device`: the port that a service must use;
-    empty: any."""
-    # Where no service runs, the stop does not wait for all that this imports.
+    """Ask these services one after the other until one has stopped. `device`: ask only services that use this port;
+    empty for any port."""
+    # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
 
@@ -151,7 +155,7 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
         its = ask.port_of(name) if device else ""
         if device and not its and name == order.name:
             with contextlib.suppress(FailstopError):
-                # It may be the one that holds the port, and a stop too many is no harm.
+                # This service may hold the port. If it doesn't, one stop too many does no harm.
                 send_stop(name, order.reason, order.who)
         elif device and not (its and ask.same(its, device)):
             continue
@@ -170,9 +174,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write the stop to the port itself, again and again until the port takes it or the time is over. While another
-    process has the port, look again for a service that was just starting. While the port does not exist, look for the
-    board at another port."""
+    """Write the stop to the port itself. It tries again until the port accepts the stop or the time is over. While
+    another process holds the port, it also looks for a service that has just been started. While the port does not
+    exist, it also tries the port that the settings name."""
     target = order.target
     by_service: list[int] = []
 
@@ -189,7 +193,7 @@ def _write_to_port(order: Order) -> Outcome:
     if by_service:
         return by_service[0]
     why = "" if target.asked or target.wanted() else f" (no service {order.name!r} runs)"
-    # Another board would ignore it, so this line must not promise more.
+    # The bytes are for this kind of board. Another board would ignore them, so the text says which board they are for.
     whose, unless = (
         (f" for {target.board().name}", "; no settings name another board") if target.assumes_kind() else ("", "")
     )
@@ -200,12 +204,12 @@ def _write_to_port(order: Order) -> Outcome:
 
 
 ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
-"""The ways to stop. They are tried in this order until one returns an exit code."""
+"""The ways to stop, in the order in which they are tried. The first one that returns an exit code ends the command."""
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """Ask a service of this name that has begun to listen only now, once. Returns its exit code in a list if it has
-    stopped, else an empty list."""
+    """Ask a service of this name that was not running before, but is now. It is asked only once. Returns a list with
+    the exit code if the service has stopped, else an empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -219,22 +223,22 @@ def _ask_late_service(order: Order) -> list[int]:
 
 
 def _end(target: Target, start_s: float) -> int:
-    """End the service: kill what is left of it, and write the stop to its port."""
+    """End the service: kill the processes that are left of it, and write the stop to its port."""
     misused = not _end_service()
     try:
         after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
     except PortError as error:
         raise FailstopError(target.explained(error)) from None
     standard.print_line(f"stop frame sent (after {after_s:.1f} s)")
-    target.unheard(patient=False)  # said alone: the unit has not failed, and its next start asks for itself
+    target.unheard(patient=False)  # only printed, because the unit has not failed
     return int(target.doubtful() or misused)
 
 
 def _every_service(reason: str, who: str) -> int:
-    """Ask every service that listens. Returns 1 if one of them is not known to have stopped."""
+    """Ask every running service to stop. Returns 1 if one of them is not known to have stopped."""
     from failstop.api import ask
 
-    # All of them before anybody is told, for that may be held up.
+    # First stop all of them, and then print, because printing may be delayed.
     answers = [ask.stop(name, reason, who) for name in instances.listening()]
     for done, problem, _ in answers:
         if done:
@@ -245,12 +249,12 @@ def _every_service(reason: str, who: str) -> int:
 
 
 class Target:
-    """Decides to which port the stop is written, and for how long to try: what an option says, else the port of the
-    last run, else the settings file, else the default. The file is read only when it is needed, and only for these
-    settings, because a mistake elsewhere in it must not keep the wheels turning."""
+    """Decides to which port the stop is written, and for how long to try. An option comes first, then the port of the
+    last run, then the settings file, then the default. The file is read only if it is needed, and only the settings for
+    the stop are checked, because a mistake in another setting must not prevent the stop."""
 
     def __init__(self, arguments: Namespace) -> None:
-        """Raises SettingError."""
+        """Check the options. Raises SettingError."""
         options = {DEVICE: ("--device", arguments.device), WAIT: ("--wait", arguments.wait)}
         self._given = {
             key: BY_KEY[key].check(value, name) for key, (name, value) in options.items() if value is not None
@@ -258,28 +262,31 @@ class Target:
         self._name = arguments.name
         self._config = arguments.config
         self._problems: list[str] = []
-        """Mistakes in the file that were not printed yet."""
+        """Mistakes in the settings file that have not been printed yet."""
         self._file_owner = 0
         self._unknown = False
-        """True if the file may have named a port that is not known now, because the file can't be read or the name is
-        not a port's."""
+        """True if the settings file may name a port that could not be read, because the file can't be read or the name
+        is not a valid port."""
         self._known = ("", 0)
-        """The port of a running service, as it reports it, and the service's user."""
+        """The port that a running service reports, and the user of that service."""
         self.asked: list[str] = []
-        """Services that were asked, but are not known to have stopped."""
+        """The services that were asked to stop, but are not known to have stopped."""
         self.unproved = False
-        """True if a service has stopped, but something suggests that the wheels have not."""
+        """True if a service has stopped, but there is a reason to think that the wheels have not."""
         self._instead = ("", 0)
-        """The port that was written to because the last run's port does not exist, and the user whose file names it."""
+        """The port to which the stop was written instead, because the port of the last run does not exist; and the uid
+        of the user whose file names this port."""
         self._stopped = False
-        """True once a stop was written. Only then may the description of your own board be run, to ask the board."""
+        """True once a stop was written. Only then may this program run the code that describes your own board, in order
+        to ask the board for an answer."""
 
     def wanted(self) -> str:
-        """The port that the user has named, with an option or in a file; empty if there is none."""
+        """The port that the user has named, with an option or in the settings file given with --config. Empty if there
+        is none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def learn(self, device: str, owner: int | None) -> None:
-        """A running service reports that it uses this port. `owner`: the service's user."""
+        """Remember that a running service reports this port as its own. `owner`: the user of that service."""
         if device and owner is not None and not self._known[0]:
             self._known = device, owner
 
@@ -288,7 +295,8 @@ class Target:
         return self._chosen()[0]
 
     def _chosen(self) -> tuple[str, int]:
-        """The port to write to, and the user whose file names it; 0 for root's files and for an option."""
+        """The port to write to, and the uid of the user whose file names it. The uid is 0 if root's file or an option
+        names it."""
         if self._instead[0]:
             return self._instead
         if named := self._given.get(DEVICE):
@@ -300,8 +308,9 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """The board at the port. Its kind is the last run's if that run used this port, else the file's. If the last
-        run has kept the stop of your own board, no code of that board is run before the stop is written."""
+        """The board at the port. If the last run used this port, its kind of board counts, else the kind in the
+        settings file. For your own board, the stop bytes that the last run has saved are used, so that no code of that
+        board runs before the stop is written."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -313,11 +322,12 @@ class Target:
             if known:
                 return known
             raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
-        # The last run's stop, if it differs: the file may name another motor by now.
+        # Use the stop of the last run if it differs, because the settings may name another motor since.
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def _named_kind(self) -> str:
-        """The kind of the board that the last run names if it used this port, else the file; empty if neither does."""
+        """The kind of board: that of the last run if it used this port, else the one in the settings file. Empty if
+        neither names one."""
         if self._is_the_last_s():
             with contextlib.suppress(SettingError):
                 return str(BY_KEY[KIND].check(self._last.board))
@@ -328,7 +338,7 @@ class Target:
         return self._last.device == self.device()
 
     def assumes_kind(self) -> bool:
-        """True if nothing names the kind of the board, so the stop is that of the default kind."""
+        """True if the kind of board is not known, so that the stop of the default kind is written."""
         return not self._named_kind()
 
     def described(self) -> str:
@@ -340,17 +350,18 @@ class Target:
         return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
     def _guess(self) -> tuple[str, int]:
-        """The port if nothing else says which, and the user whose file names it."""
+        """The port if there is no option and no earlier run: the one in the settings file, or the default. Also returns
+        the uid of the user whose file names it."""
         return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
     def _last(self) -> instance.Last:
-        """How the last run of this name was started."""
+        """How the last run of this service was started."""
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """The ids of the arm's servos, from the file, or from the last run that used this port; empty if there is no
-        arm."""
+        """The ids of the arm's servos, from the settings file, and from the last run if it used this port. Empty if
+        there is no arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
         found += self._last.servos if self._is_the_last_s() else ()
@@ -358,8 +369,8 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The values of these settings in the file, as far as they are allowed; empty if there is no file, or it can't
-        be read."""
+        """The settings in the file. If the value of a setting that the stop needs is not allowed, that setting is left
+        out. Empty if there is no file, or it can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -368,7 +379,7 @@ class Target:
         except SettingError as error:
             self._problems.append(str(error))
             self._unknown = True
-        self._unknown |= any(key.endswith(f".{DEVICE}") for key in table)  # below another [table]
+        self._unknown |= any(key.endswith(f".{DEVICE}") for key in table)  # the setting is below the wrong [table]
         for key in (key for key in DEFAULTS if key in table):
             try:
                 table[key] = BY_KEY[key].check(table[key])
@@ -379,9 +390,8 @@ class Target:
         return table
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
-        """Write the stop. Keeps trying for at most `most_s`, and returns after how many seconds it was written.
-        `otherwise` is called after each try that has failed, and returns True if a stop was written in another way.
-        Raises PortError."""
+        """Write the stop, trying for at most `most_s`. Returns after how many seconds it was written. `otherwise` is
+        called after each failed try; it returns True if it has stopped the robot in another way. Raises PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -403,7 +413,7 @@ class Target:
             if elsewhere and not self._instead[0]:
                 return after_s
             self._stopped = True
-            if servos := self._servos():  # the wheels come first
+            if servos := self._servos():  # after the wheels, the arm
                 device, owner = self._chosen()
                 stop_tool.write(device, self.board(), servos, named_by=owner)
         except KeyboardInterrupt:
@@ -414,8 +424,8 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """True if a stop was written to the port at which a board is looked for without a last run. That is tried if
-        the last run's port does not exist, because the board may have got another one when it was plugged in again."""
+        """Try the port in the settings file, or the default port, because the port of the last run does not exist. The
+        board may have got another port when it was plugged in again. Returns True if a stop was written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -427,12 +437,13 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """True if the user whose file names the port could not have opened it."""
+        """True if the user whose file names this port could not have opened it. Then root does not open it for that
+        user either."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
-        """True if the board could answer but does not. Prints that, or the board's answer. `patient`: as in
-        stop_tool.answered()."""
+        """Ask the board for an answer, and print what is known. Returns True if the board could answer but does not.
+        `patient`: as in stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
             standard.print_line(
@@ -462,13 +473,12 @@ class Target:
         return heard is False
 
     def complain(self) -> None:
-        """Print what is wrong with the file, as far as it was read. Call it after the stop, because printing may be
-        held up."""
+        """Print the mistakes in the settings file. Call this after the stop, because printing may be delayed."""
         while self._problems:
             standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
-        """True if the port that was written to is only a guess; prints that."""
+        """True if the stop was written to a port that was only guessed. Prints this."""
         if self._instead[0]:
             gone = f"{self._last.device}, the port of the last run, does not exist"
             standard.say(
@@ -487,8 +497,8 @@ class Target:
         return True
 
     def explained(self, error: PortError) -> str:
-        """Why no stop was written, and what to do. It names the process that holds the port, if that process is
-        found."""
+        """The reason why no stop was written, and what to do. It names the process that holds the port, if that process
+        is found."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
             return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
@@ -498,7 +508,7 @@ class Target:
             return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
-        # Only here: it looks at every process.
+        # imported only here, because it looks at every process of the computer
         from failstop.doctor.system import System
 
         holders, _ = System().holders(device)
@@ -510,8 +520,8 @@ class Target:
 
 
 def _end_service() -> bool:
-    """Kill (SIGKILL) the other processes of the control group. Returns False, and kills nothing, if it is not the
-    control group of the service."""
+    """Kill (SIGKILL) the other processes of this service. Returns False if this process is not in the control group of
+    the service, and then kills nothing."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(

@@ -1,4 +1,4 @@
-"""`failstop teleop`: drives with the keyboard, for as long as a key is held."""
+"""`failstop teleop`: drives the robot with the keyboard, as long as you hold a key."""
 
 from __future__ import annotations
 
@@ -33,17 +33,18 @@ ssh -t robot failstop teleop            # from another computer
 """
 
 LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
-"""The settings whose values are 100 %."""
+"""The settings whose values are 100 % of the speed."""
 TURN_S = 0.05
 LATE_S = 0.25
-"""If a turn took this long, s, because the program or the machine was held up, the keys that were typed meanwhile are
-old."""
+"""If a pass of the loop took longer than this, in seconds, because the computer or the program was held up, the keys
+that were typed meanwhile are too old to move the robot."""
 CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
 TURNS = {"[": -1, "]": 1}
-"""Keys that turn the chosen joint of the arm while they are held. A digit chooses the joint."""
+"""The keys that turn the chosen joint of the arm while they are held, each with its direction. You choose the joint
+with a digit."""
 KEYS = """\
 w s  \u2191 \u2193    forward, backward     space  STOP, latched
 a d  \u2190 \u2192    turn left, right      e      enable motion
@@ -60,7 +61,7 @@ HOW = "hold a key to drive; a tap drives for 0.3 s"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop teleop`."""
+    """Define the options of `failstop teleop`."""
     parser.add_argument(
         "--source", default=FIRST_SOURCE, help=f"drive as this source of the settings (default: {FIRST_SOURCE})"
     )
@@ -68,12 +69,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Drive. At the end the wheels stop, and motion that this program has enabled is disabled. The exit code is 0 after
-    q, else 128 plus the signal's number."""
+    """Run the command. At the end the wheels stop, and if this program has enabled motion, it disables it. The exit
+    code is 0 after q, else 128 plus the number of the signal."""
     SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
-        robot.assert_interlocks()  # takes the client slot: what is wrong with that is said before the screen changes
+        robot.assert_interlocks()  # takes the client slot before the screen changes, so that an error can be read
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
         slides = kinematics.AXES[str(robot.settings["wheels.layout"])][1]
         pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps * slides, wz_radps))
@@ -82,7 +83,7 @@ def main(arguments: Namespace) -> int:
                 _drive(terminal, pilot)
         finally:
             said = pilot.leave()
-    with contextlib.suppress(OSError):  # the terminal may have gone
+    with contextlib.suppress(OSError):  # the terminal may be closed
         print(said, file=sys.stderr if terminal.ended else sys.stdout)
     return 128 + terminal.ended if terminal.ended else 0
 
@@ -94,7 +95,7 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
         keys, state = decoder.feed(typed), pilot.robot.state
         now_s = time.monotonic()
         late = now_s - turned_s > LATE_S
-        # Where in a turn it was held up is not known: what is read next may have been typed meanwhile too.
+        # The keys that are read next may be old too, because it is not known when in the pass the delay was.
         pilot.keys(keys, state, now_s, late=late or held_up)
         held_up, turned_s = late, now_s
         if pilot.leaving:
@@ -104,38 +105,39 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
 
 
 class Pilot:
-    """Turns keys into requests and commands. A request that fails becomes a note on the screen. Raises NoService."""
+    """Turns keys into requests and commands. If a request fails, a note on the screen says so. Raises NoService."""
 
     def __init__(self, robot: Robot, source: str, full: Velocity) -> None:
-        """`full`: the velocity at 100 %: m/s forward, m/s left (0 if the base can't move sideways), rad/s
-        counter-clockwise."""
+        """`source`: the source to command as. `full`: the velocity at 100 %, in m/s forward, m/s left (0 if the base
+        can't move sideways), and rad/s counter-clockwise."""
         self.robot = robot
         self.source = source
         self.percent = FIRST_PERCENT
         self.hold = Hold()
         self.note: Span = ("", PLAIN)
-        """The result of the last key, and its role. It is shown until the state changes."""
+        """The note about the last key, and its role. It is shown until the state changes."""
         self.enabled = False
-        """True if this program has enabled motion, or may have."""
+        """True if this program has enabled motion, or may have done so."""
         self.leaving = False
         self.joint = 0
-        """The chosen joint of the arm, by its place in the settings."""
+        """The index of the chosen joint of the arm, in the order of the settings."""
         self._full = full
         self._command: Velocity = (0.0, 0.0, 0.0)
         self._commanded_s = 0.0
         self.enabling: threading.Thread | None = None
         self._seen: object = None
-        """The part of the last state on which the lines for people depend."""
+        """The parts of the last state that the notes depend on."""
         self._told: Span = self.note
         """The last note."""
         self._asked = False
-        """True if the arm was moving to its drive pose at the last look, so that motion can be enabled."""
+        """True if, at the last look, motion was just being enabled while the arm moved to its drive pose."""
         self._rival = ""
-        """Another program that commands as this source."""
+        """Another program that commands as the same source; empty if there is none."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
-        """Act on keys, and on what is due without any. `late`: the keys may be old, so only those that stop count."""
+        """Act on the keys that were typed, and on what is due without a key. `late`: True if the keys may be old; then
+        only keys that stop the robot count."""
         self._drop_old_note(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
@@ -143,11 +145,11 @@ class Pilot:
             self.hold.let_go()
             with self._noted():
                 self.robot.estop("space key")
-            late = True  # keys typed before it, or with it, must not undo it
+            late = True  # a key that was typed before the space key, or together with it, must not undo the stop
         if late:
             keys = [key for key in keys if key in LEAVE]
         if late or not state.enabled:
-            self._send(self.hold.let_go(), now_s)  # a held key must not drive on after another stop
+            self._send(self.hold.let_go(), now_s)  # a key that is still held must not drive after a stop
         moving = []
         for key in keys:
             if key in AXES:
@@ -163,9 +165,9 @@ class Pilot:
         self._send(self.hold.pressed(moving, now_s), now_s)
 
     def _drop_old_note(self, state: State) -> None:
-        """Drop a note when the state that it is about has changed, but keep a note that was made since the last look,
-        because it is about the new state. If somebody else has enabled motion after it was disabled, this program will
-        not disable it."""
+        """Drop the note if the state has changed, because it is about the old state. A note that was made since the
+        last call stays, because it is about the new state. This also notices if motion was disabled meanwhile. If
+        somebody else enables it after that, this program will not disable it at its end."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -173,12 +175,12 @@ class Pilot:
         self._seen, self._told, self._asked = seen, self.note, self._asking()
 
     def _asking(self) -> bool:
-        """True while motion is being enabled in another thread, as it is with an arm."""
+        """True while another thread is enabling motion, which takes seconds with an arm."""
         return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
-        """End: the wheels stop, and motion that this program has enabled is disabled. Returns the result in words. If
-        the service can't be reached, the wheels stop because the last command becomes too old."""
+        """Stop the wheels, and disable motion if this program has enabled it. Returns the result in words. If the
+        service can't be reached, the wheels stop when the last command expires."""
         try:
             if self.enabled or self._asking():
                 return self.robot.disable()
@@ -195,11 +197,12 @@ class Pilot:
         except NoService:
             raise
         except FailstopError as error:
-            # Of a refusal the reason alone, since the keys that help stand below.
+            # Only the reason of a refusal, because the keys that help are shown below it.
             self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
-        """Act on a key that does not move the robot. A key without a meaning lets go of the keys that do."""
+        """Act on a key that does not move the robot. A key without a meaning counts as letting go of the motion
+        keys."""
         if key in STEPS_PERCENT:
             self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:
@@ -218,8 +221,8 @@ class Pilot:
                     self._asked = True
 
     def _enable(self) -> None:
-        """Enable motion. From the request on it counts as enabled by this program, because it may be granted even if
-        the answer gets lost."""
+        """Enable motion. From the moment of the request, this program counts as the one that has enabled it, because
+        the service may enable motion even if its answer gets lost."""
 
         def show(text: str) -> None:
             self.note = (text, PLAIN)
@@ -232,13 +235,13 @@ class Pilot:
             raise
 
     def _enable_beside(self) -> None:
-        """Enable motion in another thread, because that takes seconds with an arm, and the space key must stop
+        """Enable motion in another thread. With an arm this takes seconds, and the space key must stop the robot
         meanwhile."""
-        with contextlib.suppress(NoService), self._noted():  # at the next turn the state tells that it has gone
+        with contextlib.suppress(NoService), self._noted():  # the next read of the state shows NoService too
             self._enable()
 
     def _turn(self, key: str, seen: ArmState) -> bool:
-        """True if the key was one of the arm's keys, and was acted on."""
+        """Act on a key for the arm. Returns False if the key is not one of the arm's keys."""
         joints = list(seen.joints)
         digits = [str(number) for number in range(1, len(joints) + 1)]
         if key in digits:
@@ -256,15 +259,16 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """Why a key can't move the wheels, or would stop everything: a second publisher of one source latches a
-        stop."""
+        """The reason why a motion key must do nothing. Either the key can't move the wheels at present, or another
+        program commands as the same source. In the second case a command would stop everything, because two publishers
+        of one source latch a stop. None if there is no reason."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
         return (rival, WARN) if self._rival else None
 
     def holds(self, state: State) -> Span | None:
-        """Why the wheels are stopped, and the keys that help; None if the keys drive."""
+        """A text about why the wheels are stopped, with the keys that help. None if the keys can drive the robot."""
         if any(process.state == "dead" for process in state.processes.values()):
             return "the service has died: if a wheel turns, use the POWER SWITCH; q leaves", FAIL
         first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
@@ -277,7 +281,7 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Send a command. While another program publishes for this source, not even a zero is sent, because that would
+        """Send a command. If another program commands as the same source, not even a zero is sent, because that would
         latch a stop."""
         if wanted is None or self._rival:
             return
@@ -312,7 +316,7 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """A line about the arm and the chosen joint: where it is, or where it was sent."""
+        """The lines about the arm and the chosen joint, with its angle, or the angle that it is moving to."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

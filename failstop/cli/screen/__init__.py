@@ -1,1 +1,1 @@
-"""Screens: turn a state into lines of text. Only terminal.py uses a terminal."""
+"""Screens: make lines of text from a state. Only terminal.py reads and writes a terminal."""

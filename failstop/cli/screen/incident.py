@@ -1,4 +1,4 @@
-"""Incident: a saved stop for people, as lines for a terminal. Pure."""
+"""Shows a saved incident on a terminal. It makes lines of text from the incident's file. Pure."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from failstop.policy.settings import Settings
 
 Lines = list[list[tuple[str, str]]]
 Fact = tuple[str, str, str]
-"""A fact: its name, its text, and its role."""
+"""One fact of an incident: its name, its text, and its role (colour)."""
 
 MORE = "--all shows the rest; `plot` instead of `show` draws it"
 NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
-"""The columns in front of a line's text: indent, time, gap, label, gap."""
+"""The width of what comes before the text in a row of the story: indent, time, gap, label, gap."""
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
-"""The words for the names of Incident.ages()."""
+"""The words for the names in Incident.ages()."""
 LEAST_APART_NS = 100_000
-"""Times of the same stop that are closer together than this are shown as one."""
+"""If two times of a stop differ by less than this, in ns, only one of them is shown."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
-    """The list of incidents, the newest last: id, time, cause, how the stop was proven, and where the wall clock
-    jumped."""
+    """The list of incidents, the newest last. Each has its id, time, cause, the proof of the stop, and a note if the
+    wall clock was set."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
@@ -46,8 +46,9 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
-    """The facts, and those lines of the story that matter, so that nobody must scroll. `whole`: all lines, and the
-    circumstances. `clock`: what speaks against the wall-clock times of this incident."""
+    """The lines about one incident: the facts, and the important part of the story, short enough to need no scrolling.
+    With `whole` it is the whole story, with the circumstances. `clock`: why the times of day in this incident may be
+    wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
@@ -58,7 +59,7 @@ def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False,
 
 
 def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
-    """A text behind its lead. From the second row on it is indented as far as the lead is wide."""
+    """A text that follows `lead`. From the second row on, it is indented by the width of `lead`."""
     return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
@@ -68,7 +69,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
 
 
 def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
-    """What happened, when, which process noticed it, and the three proofs of the stop, each on its own."""
+    """The facts: what happened and when, which process noticed it, and one line for each proof of the stop."""
     head = incident.head
     ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
@@ -105,7 +106,8 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _first_frame(incident: Incident) -> str:
-    """When the first bytes of the stop went out, if that was clearly before the whole stop counts as written."""
+    """When the first bytes of the stop were written, if that was clearly earlier than the end of the write. Otherwise
+    empty."""
     written_us = (incident.head["stop"] or {}).get("written_us")
     bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
     first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
@@ -115,7 +117,7 @@ def _first_frame(incident: Incident) -> str:
 
 
 def _before(incident: Incident) -> str:
-    """What was commanded when it happened; or since when nothing was commanded."""
+    """What was commanded before the cause, or for how long only zero was commanded."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -131,8 +133,8 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """What the board reported about its wheels at the cause, and at the end of the file. Each time is that of a report,
-    because nothing says what the wheels did between two reports."""
+    """What the board reported about its wheels at the time of the cause, and at the end of the file. Each time shown is
+    that of a report, because nobody knows what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -158,8 +160,8 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
-    """A row for each line. If there is not enough room, the text of an event is cut, or with `whole` takes several
-    rows."""
+    """The lines of the story. If the text of an event is too long for a row, it is cut, or with `whole` it takes
+    several rows."""
     found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE
@@ -175,12 +177,12 @@ def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
 
 
 def _when(incident: Incident, ns: int) -> str:
-    """How long before the cause, or after it."""
+    """How long before or after the cause this time is, in words."""
     return f"{words.took(abs(ns - incident.cause_ns) / 1e9)} {'before' if ns < incident.cause_ns else 'after'}"
 
 
 def _battery(incident: Incident) -> str:
-    """The last reading, when it was, and the lowest."""
+    """The last reading of the battery with its time, and the lowest reading."""
     if not incident.battery_v:
         return memory.NOT_KNOWN
     ns, volts = incident.battery_v[-1]
@@ -189,14 +191,15 @@ def _battery(incident: Incident) -> str:
 
 
 def _ages(incident: Incident) -> str:
-    """How old the newest readings were when it happened."""
+    """The ages of the newest readings when the cause came."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
     return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """Details for a reader whom the story has left with a question."""
+    """The circumstances: battery, readings, computer, settings and versions. They may answer what the story leaves
+    open."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
     return [

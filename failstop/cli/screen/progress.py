@@ -1,5 +1,5 @@
-"""Progress: shows how far a request is, in a line on the terminal that is removed at the end. In a pipe only the result
-is printed."""
+"""Progress: shows the progress of a request in one line on the terminal, and removes the line at the end. If the output
+is not a terminal, only the result is printed."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from failstop.cli import style
 
 
 class Progress:
-    """A context manager. Call it with each text about the progress."""
+    """Shows the progress of a request. It is a context manager. Call it with each text about the progress."""
 
     def __init__(self) -> None:
         self._live = style.lives(os.environ, terminal=sys.stdout.isatty())
         self._shown = 0
-        """How many columns the line on the terminal has now."""
+        """How many columns of the terminal's line are in use."""
 
     def __enter__(self) -> Progress:
         return self

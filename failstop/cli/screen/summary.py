@@ -1,4 +1,4 @@
-"""Summary: the state on one screen, for `failstop status` with and without -w, and an event in one line."""
+"""Summary: the state on one screen, for `failstop status`, and an event in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
 
 LABEL = 10
-"""The columns of the names on the left."""
+"""The width of the names at the left, in columns."""
 LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "silent": FAIL, "unheard": FAIL}
 WORDS = {
     **dict.fromkeys((verdict.MAY_TURN, verdict.TURNING, verdict.MOVED), FAIL),
@@ -34,8 +34,8 @@ KIND_COLUMNS = max(len(kind.name) for kind in EVENT_KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
-    """The lines of the screen. `now_s`: Unix time, for ages; `columns`: the width; `events`: those of this run, the
-    oldest first."""
+    """The lines of the screen. `now_s`: the Unix time, from which ages are computed. `columns`: the width of the
+    terminal. `events`: the events of this run, the oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
     if death := verdict.death(state, events):
@@ -62,17 +62,17 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
 
 
 def row(label: str, text: str, role: str = PLAIN) -> Line:
-    """A row: a name on the left, and its text."""
+    """A row of the screen: the name at the left, and the text."""
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
 def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
-    """Rows with names in the first `label` columns, as lines that fit."""
+    """Wrap rows to the width of the terminal. The names are in the first `label` columns."""
     return [part for row in rows for part in style.wrap(row, columns, label)]
 
 
 def headline(state: State) -> Line:
-    """A line about what the wheels do, and why."""
+    """One line about what the wheels do, and why."""
     word = verdict.word(state)
     role = FAIL if state.cause else WORDS.get(word, WARN)
     if verdict.unproven(state) and role == OK:
@@ -81,7 +81,7 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """The headline, what is seen of the wheels, and the next command."""
+    """The headline, what is observed of the wheels, and the next command to type."""
     rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -89,14 +89,14 @@ def wheels(state: State) -> list[Line]:
 
 
 def observed(state: State) -> Line:
-    """What is seen of the wheels now, and the age of that reading."""
+    """What is observed of the wheels, and how old that reading is."""
     role = FAIL if verdict.doubt(state) else WARN if verdict.unseen(state) else PLAIN
     text = "; ".join(filter(None, (seen.now(state), verdict.unreached(state))))
     return row("seen", text, role)
 
 
 def commands(text: str) -> Line:
-    """A text in which the commands in backquotes are highlighted."""
+    """A text as a line in which the commands in backquotes are highlighted."""
     return [(part, STRONG if number % 2 else PLAIN) for number, part in enumerate(re.split("(`[^`]*`)", text))]
 
 
@@ -114,7 +114,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
 
 
 def last_stop(state: State, now_s: float) -> list[Line]:
-    """The last stop and its three proofs."""
+    """The rows about the last stop and its three proofs."""
     stop = state.last_stop
     if stop is None:
         return [row("last stop", "none since the service was started")]
@@ -127,7 +127,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
 
 
 def device(state: State) -> Line:
-    """The port, and what proves that the board hears."""
+    """The row about the port, and what proves that the board receives commands."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
@@ -137,7 +137,7 @@ def device(state: State) -> Line:
 
 
 def battery(state: State) -> Line:
-    """The battery's voltage, and whether it is being charged."""
+    """The row about the battery: its voltage, and if a charger is plugged in."""
     if not state.battery_v:
         return row("battery", "not reported by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
@@ -154,7 +154,7 @@ def _sensors(state: State) -> Line:
 
 
 def processes(state: State) -> list[Line]:
-    """The process table."""
+    """The rows of the process table."""
     heads = ("process", " pid", "state", " beat", " worst", " restarts", "rights")
     rows: list[Line] = [[(head, DIM) for head in heads]]
     for name, process in state.processes.items():
@@ -172,7 +172,7 @@ def processes(state: State) -> list[Line]:
 
 
 def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
-    """Remarks about the process table, in words."""
+    """Rows with remarks about the processes, in words."""
     found: list[Line] = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
@@ -187,14 +187,14 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
 
 
 def event(told: Event, now_s: float) -> Line:
-    """An event for people in one line: its time, its kind, its text."""
+    """An event as one line for people: its time, its kind, its text."""
     role = LEVEL_STYLES.get(told.level, PLAIN)
     when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
     return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]
 
 
 def arm_headline(arm: ArmState) -> str:
-    """A line about the arm."""
+    """A text about what the arm does."""
     if arm.mode:
         return f"{arm.mode} for {arm.by}{f', {arm.phase}' if arm.phase else ''}"
     if arm.released:
@@ -205,7 +205,7 @@ def arm_headline(arm: ArmState) -> str:
 
 
 def _holding(arm: ArmState) -> str:
-    """Whether the arm is held by its torque, as each of its joints reports it."""
+    """A text that says if the arm's torque is on, from what its joints report."""
     torques = {joint.torque for joint in arm.joints.values()}
     loose = [name for name, joint in arm.joints.items() if joint.torque is False]
     if True in torques:

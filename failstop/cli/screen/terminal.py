@@ -1,5 +1,5 @@
-"""Terminal: the alternate screen, the keyboard and the signals of a live command. At the end the terminal is as it was
-before."""
+"""Terminal: the full screen, the keyboard and the signals for a command that shows something live. When the command
+ends, the terminal looks as before."""
 
 from __future__ import annotations
 
@@ -23,32 +23,33 @@ IN = 0
 OUT = 1
 CLEAR = "\x1b[H\x1b[2J"
 ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
-"""The sequences that switch to the alternate screen, hide the cursor, and let pasted text arrive with marks around
-it."""
+"""Switches to the alternate screen, hides the cursor, and asks the terminal to mark pasted text."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-"""Signals that end the command. Ctrl-Z is one of them, because nobody drives or attends a robot with a command that is
-suspended."""
+"""The signals that end the command. Ctrl-Z ends it too, because with a suspended command nobody drives or attends the
+robot."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """A context manager. Signals only set fields of it; the code that waits acts on them when its wait is over."""
+    """The terminal of a live command, as a context manager. A signal only sets a field here. The command acts on it
+    when it has finished waiting."""
 
     def __init__(self) -> None:
-        """Raises FailstopError if standard output is not a terminal, or is one that obeys no escape sequences."""
+        """Raises FailstopError if standard output is not a terminal, or is one that does not understand escape
+        sequences."""
         if not os.isatty(OUT):
             raise FailstopError("this command shows a live screen, so run it in a terminal")
         if not style.lives(os.environ, terminal=True):
             term = os.environ.get("TERM", "")
             raise FailstopError(f"this command needs a terminal that can draw a screen, but TERM is {term!r}")
         self._shown: list[str] | None = None
-        """The lines that the screen shows; None if it may show anything."""
+        """The lines that are on the screen. None if that is not known, so that all must be drawn."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
         self.ended = 0
-        """The signal that has asked to end; 0 if none has."""
+        """The number of the signal that asks this command to end; 0 if none has."""
         self.columns = self.rows = 0
 
     def __enter__(self) -> Terminal:
@@ -56,7 +57,7 @@ class Terminal:
             self._handlers[number] = signal.signal(number, self._note)
         with contextlib.suppress(termios.error):
             self._saved = termios.tcgetattr(IN)
-            tty.setcbreak(IN)  # keys typed before are forgotten
+            tty.setcbreak(IN)  # drops keys that were typed before
         self._measure()
         self.write(ENTER)
         return self
@@ -64,7 +65,7 @@ class Terminal:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.write(LEAVE)
         if self._saved is not None:
-            with contextlib.suppress(termios.error):  # the terminal may have gone
+            with contextlib.suppress(termios.error):  # the terminal may be closed
                 termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
@@ -83,7 +84,8 @@ class Terminal:
             self.rows = max(2, size.lines or 24)
 
     def write(self, text: str) -> None:
-        """Write to the terminal. If the terminal has gone, the command ends as after a hang-up."""
+        """Write a text to the terminal. If that fails, the terminal was closed, and the command ends as after
+        SIGHUP."""
         data = text.encode(sys.stdout.encoding or "ascii", "replace")
         try:
             while data:
@@ -92,12 +94,12 @@ class Terminal:
             self.ended = self.ended or signal.SIGHUP
 
     def writable(self) -> bool:
-        """True if the terminal accepts bytes now."""
+        """True if the terminal can take more bytes at once."""
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
-        """Show these lines, as far as they fit. Only lines that have changed are written, and nothing is written while
-        the terminal accepts no bytes."""
+        """Show these lines, as many as fit. Only changed lines are written. If the terminal can't take bytes at once,
+        nothing is written."""
         if not self.writable():
             self._shown = None
             return
@@ -107,7 +109,7 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """The bytes that were typed; empty if none were within `timeout_s`."""
+        """Wait for keys, and return their bytes. Empty if nothing was typed within `timeout_s`."""
         if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
@@ -119,8 +121,8 @@ class Terminal:
         return typed
 
     def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
-        """Until a signal asks to end, yield what was typed, and, when it is time to draw again, the time
-        (time.monotonic()), else None."""
+        """Run the loop of a live command until a signal ends it. Each pass yields the bytes that were typed, and the
+        time (time.monotonic()) if the screen must be drawn again, else None."""
         next_s = time.monotonic()
         while not self.ended:
             typed = self.wait(next_s - time.monotonic())
@@ -132,8 +134,8 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """The bytes that change a screen that shows `before` (None: anything) so that it shows these rows. The rows must
-    fit."""
+    """The text to write to the terminal so that it shows these rows. `before`: the rows that it shows; None if that is
+    not known. The rows must fit on the screen."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):
