@@ -1,1 +1,1 @@
-"""The part of failstop that programs use: the robot, its state, its events."""
+"""The Python API of failstop: the robot, its state, its events, and the explanation of a stop."""

@@ -1,4 +1,4 @@
-"""Arm: move the robot's arm from Python. Angles are in rad, by the name of the joint in the settings
+"""Arm: moves the robot's arm from Python. Angles are in rad, by the name of the joint in the settings
 ([joints.NAME])."""
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """The arm of a Robot, `robot.arm`. It moves only while motion is disabled and nothing is latched. If two clients
-    set goals at the same time, a stop is latched."""
+    """The robot's arm, which you get as `robot.arm`. It moves only while motion is disabled and no stop is latched. If
+    two programs set goals for it at the same time, the robot is stopped with a latch."""
 
     def __init__(self, session: Session) -> None:
-        """Raises FailstopError for a robot whose settings name no joints."""
+        """Raises FailstopError if the robot's settings name no joints."""
         self._session = session
         _ = self.joints
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """Each joint by name, with its range (range_rad), from the service that is running now. A restart may have
-        changed them. Raises NoService, FailstopError."""
+        """The joints by name. Each has its range (range_rad). They come from the service that is running at present,
+        because a restart may have changed them. Raises NoService, FailstopError."""
         with self._session._lock:
             found = self._session._current().joints
         if not found:
@@ -50,14 +50,18 @@ class Arm:
         speed: float = 1.0,
         progress: Progress = None,
     ) -> str:
-        """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's speed, allows), or
-        along points: (seconds from the start, angles), each with the same joints. Returns once a reading confirms that
-        the arm is there.
+        """Move the arm to these angles, and return when a reading confirms that it is there.
 
-        Raises Refused: out of range, too fast, the arm would hit something, wheels enabled, a stop latched, preempted,
-        held, a servo that does not answer or did not follow.
+        `to` is either one set of angles, or a trajectory: a list of points (seconds from the start, angles) that all
+        have the same joints. `over_s` is the time for one set of angles; with 0 the arm moves as fast as `speed`
+        allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
+        each text about the progress.
+
+        Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, the wheels are
+        enabled, a stop is latched, another request or arm.hold() ends the move, or a servo does not answer or does not
+        follow.
         """
-        asked_ns = monotonic_ns()  # checking the whole way takes time, during which another request may be made
+        asked_ns = monotonic_ns()  # another request may be made while the whole way is checked
         points = [(over_s, to)] if isinstance(to, Mapping) else to
         if not points:
             raise ValueError("a trajectory needs at least one point")
@@ -73,7 +77,8 @@ class Arm:
         return self._ask(records.ARM_MOVE, progress, ("arm_path", speed, servos, rows), asked_ns)
 
     def pose(self, name: str, progress: Progress = None) -> str:
-        """Go slowly (arm.pose_speed) to a pose of the settings, "drive" or "tuck". Raises Refused, ValueError."""
+        """Move the arm slowly (setting arm.pose_speed) to a pose from the settings, "drive" or "tuck". Raises Refused,
+        ValueError."""
         if name not in POSES:
             raise ValueError(f"no pose {name!r}: the poses are {' and '.join(POSES)}")
         asked_ns = monotonic_ns()
@@ -83,14 +88,15 @@ class Arm:
         return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
-        """Follow these angles from now on, until arm.goal_timeout_s after the last call; returns at once. Raises
-        Refused for an angle out of range. State.arm shows whether the arm moves, and if not, why."""
+        """Move the arm toward these angles, and return at once. The arm follows them until arm.goal_timeout_s after the
+        last call, so call this again and again. Raises Refused for an angle out of range. State.arm shows if the arm
+        moves, and if not, why."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn joints at these rates (rad/s) from now on, until arm.goal_timeout_s after the last call; returns at
-        once."""
+        """Turn joints at these rates (rad/s), and return at once. They turn until arm.goal_timeout_s after the last
+        call, so call this again and again. Raises Refused for a rate that is not finite."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -102,31 +108,35 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, all goals are dropped, and an enable that is moving the arm to
-        its drive pose is given up."""
+        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is just moving
+        the arm to its drive pose, that is given up too."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
-        """Switch the torque off: the arm falls, and drops what it holds. Raises Refused while motion is enabled."""
+        """Switch the torque off. The arm then falls, and may drop what it holds. Raises Refused while motion is
+        enabled."""
         return self._ask(records.ARM_RELEASE)
 
     def read(self, progress: Progress = None) -> dict[str, float]:
-        """Read where each joint is; returns the angles by name. Raises Refused."""
+        """Read where each joint is, and return the angles by name, in rad. Raises Refused."""
         self._ask(records.ARM_READ, progress)
         return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property
     def state(self) -> ArmState:
-        """The arm as the service knows it (State.arm)."""
+        """What the service knows about the arm (State.arm)."""
         found = self._session.state.arm
         if found is None:
             raise FailstopError(f"the service {self._session.name!r} reports no arm: see `failstop status`")
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Refuse a way on which the arm would hit something, before it begins, starting from where the arm was last
-        read to be. This is done here and not in the gate, because checking a whole way takes many milliseconds and the
-        gate must be ready to stop the wheels. The gate checks each single move before it sends it."""
+        """Check the arm's whole way before it begins, starting at its present position. Raises Refused if the arm would
+        hit something.
+
+        This check is done here, not in the gate. It takes many milliseconds, and the gate must always be ready to stop
+        the wheels. The gate checks each single move before it sends the move.
+        """
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):
             return

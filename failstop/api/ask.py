@@ -1,7 +1,6 @@
-"""Ask: requests a stop from a running service, and observes what comes of it. The request needs only the stop pipe. The
-service's port and state are read as far as possible, because the service may have another version, or be half started
-or half dead.
-"""
+"""Ask: asks a running service to stop the robot, and watches if it does. Only the stop pipe is needed for that. Other
+things, such as the service's state, are read if possible. They may be unreadable because the service has another
+version, has only half started, or is partly dead."""
 
 from __future__ import annotations
 
@@ -20,16 +19,20 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 LATCH_S = 1.0
-"""For how long to wait until the request was latched, s. The service needs a few milliseconds."""
+"""How long to wait until the service has latched the stop, in seconds. Normally that takes a few milliseconds."""
 HEAR_S = 0.3
-"""For how long to wait for the board's answer, s, before a latched stop is reported without it."""
+"""If a stop is latched but the board has not answered, wait this long for the answer, in seconds, before reporting the
+stop."""
 LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Write a request into the stop pipe of a service, then wait until it is latched, for at most LATCH_S. Returns
-    (result, problem, doubt): the result as a text, which is empty if no stop is known to be written; what is wrong, as
-    a text; and True if the wheels may still turn. Raises nothing itself."""
+    """Ask a service to stop, and wait until it has latched the stop, but not longer than LATCH_S. Raises nothing
+    itself.
+
+    Returns (result, problem, doubt). `result` is a text about the stop; it is empty if no stop is known to be written.
+    `problem` is a text about what is wrong; it may be empty. `doubt` is True if the wheels may still turn.
+    """
     try:
         send_stop(name, reason, who)
         _, pipe = instance.open_stop(name)
@@ -44,9 +47,11 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 
 
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
-    """Wait until the stop is written. The port owner reads the pipe after it has written the stop, so an empty pipe
-    means that a stop is written. If a flood of other requests never leaves it empty, an epoch that is newer than the
-    first one means the same. Raises OSError."""
+    """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
+
+    The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
+    Other requests may keep the pipe from ever becoming empty. Then a higher epoch than at the beginning means the same.
+    """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
@@ -77,14 +82,13 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def _why(cause: Cause | None) -> str:
-    """The cause in words. If it is this program's own request, the words leave out who asked, because the reader
-    knows."""
+    """The cause as a text. If this program has asked for the stop itself, the text does not say who asked."""
     own = cause and cause.named().get("pid") == os.getpid()
     return unsigned(cause) if cause and own else str(cause)
 
 
 def port_of(name: str) -> str:
-    """The port that a service reports; empty if it can't be read."""
+    """The path of the port that a service reports. Empty if it can't be read."""
     with contextlib.suppress(Exception), contextlib.closing(attach(name, layout.PORT_OWNER)) as found:
         if entry := found.latest_reader("port").read():
             return records.PORT.unpack(entry[2])[3]
@@ -92,14 +96,15 @@ def port_of(name: str) -> str:
 
 
 def owner_of(name: str) -> int | None:
-    """The user of a service; None if that can't be known."""
+    """The uid of the user of a service. None if it can't be found out."""
     with contextlib.suppress(instance.NoService, instance.InstanceError):
         return instance.current_run(instance.find(name))[1]
     return None
 
 
 def same(port: str, device: str) -> bool:
-    """True if two paths lead to the same port. If the port is missing, the paths are compared as texts."""
+    """True if two paths lead to the same port. If one of them does not exist, only the paths themselves are
+    compared."""
     with contextlib.suppress(OSError):
         return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
     return os.path.realpath(port) == os.path.realpath(device)

@@ -1,4 +1,5 @@
-"""What a program needs of a service: the running service itself, a client slot, and the stop pipe."""
+"""Client: connects a program with the service. It finds the running service, takes a client slot to drive, and writes
+to the stop pipe."""
 
 from __future__ import annotations
 
@@ -29,34 +30,37 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""A command that repeats the one before it within this time wakes nobody. The gate reads it at its next tick, before
-the earlier one becomes too old. A wake-up costs 0.2 to 0.4 ms of processor time."""
+"""If a command equals the one before it and comes within this time (ns), the gate is not woken for it. The gate still
+reads it at its next tick, before the earlier command expires. This saves the 0.2 to 0.4 ms of processor time that a
+wake-up costs."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""If an object is given as the reason of a stop, its own text is sent only if it is ready within this time, s."""
+"""How long to wait for the text of an object that is given as the reason of a stop, in seconds. A later text is not
+sent."""
 
 
 def runtime_dir(name: str) -> str:
-    """The runtime directory of the running service. Raises NoService, FailstopError."""
+    """The runtime directory of the running service with this name. Raises NoService, FailstopError."""
     return _there(instance.find, name)
 
 
 def run(name: str) -> tuple[str, int]:
-    """The name that the segments of the running service share, and the uid of their owner. Raises NoService,
+    """The name that all segments of the running service share, and the uid of their owner. Raises NoService,
     FailstopError."""
     incarnation, owner = _there(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
-    """Attach a segment for reading, of the run `found`, or of the running one. Raises NoService, FailstopError."""
+    """Attach to a segment of the service for reading. `which`: the segment's name. `found`: the run, as run() returns
+    it; by default the one that is running. Raises NoService, FailstopError."""
     memory, owner = found or run(name)
     return _there(segments.attach, memory, which, owner=owner)
 
 
 def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
-    """Call a function that needs the service, and convert its errors. Raises NoService, FailstopError."""
+    """Call `take`, a function that needs the service, and turn its errors into NoService or FailstopError."""
     try:
         return take(*what, **how)
     except (instance.NoService, instance.InstanceError, segments.AttachError) as error:
@@ -65,17 +69,18 @@ def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
 
 
 def unread(fd: int) -> int:
-    """How many bytes in a pipe were not read yet. Raises OSError."""
+    """How many bytes are in a pipe that its reader has not read yet. Raises OSError."""
     return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Request a stop, which is then latched. Every local user may do this.
+    """Ask the service to stop the robot. The service latches the stop. Every local user may do this. It never waits for
+    the service. Raises NoService, FailstopError.
 
-    The service shows `stop request: REASON (says it is WHO, pid N)`, because a pipe does not tell its reader who wrote.
-    A reason longer than records.ASKED_BYTES is cut. If the reason is an object, its own text follows in a second
-    request, unless it takes longer than OWN_WORDS_S. `row`: the name of the cause that the reason belongs to, one of
-    causes.SIGNED, whose remedy is shown. Never blocks on the service. Raises NoService, FailstopError.
+    The service shows `stop request: REASON (says it is WHO, pid N)`. It can't check who asked, because a pipe does not
+    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object whose text needs
+    the program's own code, that text follows in a second request, unless it takes longer than OWN_WORDS_S. `row`: the
+    name of a cause in causes.SIGNED, whose remedy people are shown.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -92,24 +97,25 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Have the object's own text sent, and wait for that, for at most OWN_WORDS_S. A separate thread gets the text,
-    because the object's code may never return. `fd`: the stop pipe, which is closed at the end."""
-    # Only a reason that has code of its own needs it.
+    """Send an object's own text as a second request, and wait for that for at most OWN_WORDS_S. Another thread makes
+    the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is closed at the
+    end."""
+    # Imported only here, because most reasons don't need it.
     from threading import Thread
 
     asking = Thread(target=_own_words, args=(fd, why, who, time.monotonic() + OWN_WORDS_S), daemon=True)
     try:
         asking.start()
-    except RuntimeError:  # no more threads, or the interpreter ends: the stop itself is out
+    except RuntimeError:  # no thread can be started, or Python is ending; the stop itself is already sent
         os.close(fd)
     else:
         asking.join(OWN_WORDS_S)
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Send the object's own text after the first request was read, because the service reports only the first of
-    several requests that it reads together. A text that comes too late is dropped, because it would stop the robot
-    again after a reset."""
+    """Make the object's own text, and send it once the first request has been read. It must not be sent earlier,
+    because the service reports only the first of several requests that it reads together. A text that is ready too late
+    is dropped, because it would stop the robot again after a reset."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -119,16 +125,16 @@ def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
 
 
 def gone(name: str) -> NoService:
-    """The error for every call if the service has been running before and has ended."""
+    """The error for a call if the service was running before and has ended."""
     return NoService(f"the service {name!r} has ended: start it with {host.start(name)}")
 
 
 class SeenRun:
-    """The run that exists when this object is made: whether it still runs, and what its settings declare. Not
-    thread-safe.
+    """The run of the service that exists when this object is made. It shows if that run has ended, and what its
+    settings declare. Not thread-safe.
 
-    A run publishes its name only after everything that is read here exists (supervisor/entry.py), and each check asks
-    the kernel whether the run's supervisor is alive. So what is read here does not change during the run.
+    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So it
+    does not change while the run lasts.
     """
 
     def __init__(self, name: str) -> None:
@@ -136,45 +142,46 @@ class SeenRun:
         self._life = -1
         self.name = name
         self.found = run(name)
-        """The name that the run's segments share, and their owner."""
+        """The name that the run's segments share, and the uid of their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.run_record("rules")
-        """When the supervisor published the rules, which it does once (CLOCK_MONOTONIC)."""
+        """When the supervisor wrote the record with the rules (CLOCK_MONOTONIC, ns). It does this once, when the run
+        begins."""
 
     def __del__(self) -> None:
         if self._life >= 0:
-            with contextlib.suppress(OSError):  # a program that closes descriptors which are not its own
+            with contextlib.suppress(OSError):  # the program has closed this descriptor
                 os.close(self._life)
 
     def shares_pids(self) -> bool:
-        """True if a pid of the service means the same process in this program's pid namespace."""
+        """True if the pids of the service are valid in this program, because both are in the same pid namespace."""
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
     def run_record(self, record: str) -> tuple[int, dict[str, Any]]:
-        """Returns when the supervisor wrote a record, which was before it published the run's name, and the record's
-        content. Raises FailstopError if it is damaged."""
+        """Return when the supervisor wrote a record (CLOCK_MONOTONIC, ns), and what the record contains. Raises
+        FailstopError if the record is damaged."""
         entry = self.supervisor.latest_reader(record).read()
         if entry is None:
             raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True if this run has ended, because its supervisor has died. It takes one system call, so it is cheap enough
-        for every call."""
+        """True if this run has ended, because its supervisor has died. The check needs only one system call, so every
+        call can make it."""
         try:
             return not segments.lives(self._life)
-        except OSError:  # a program that closes descriptors which are not its own: the next look opens another
-            self._life = -1  # the number may be another file's from now on
+        except OSError:  # the program has closed this descriptor; a new SeenRun opens another
+            self._life = -1  # another file may get this number
             return True
 
     def silent(self, now_ns: int) -> bool:
-        """True if the supervisor's lease has ended, so that no motion is admitted."""
+        """True if the supervisor has been silent for longer than its lease, so that no motion is allowed."""
         return bool(self._beat.age_ns(now_ns) > self._rules["lease_ns"])
 
     def check(self, kind: str, *names: str) -> None:
-        """Raise Undeclared if the settings do not declare one of these names. `kind`: "source" or "interlock"."""
+        """Raise Undeclared if one of these names is not in the settings. `kind`: "source" or "interlock"."""
         declared: list[str] = self._rules[f"{kind}s"]
         for name in names:
             if name not in declared:
@@ -184,18 +191,20 @@ class SeenRun:
 
 
 class Client:
-    """A claimed client slot. The claim ends with close(), when the object is freed, or with the process."""
+    """A client slot of the service that this program holds. It is given back by close(), when this object is freed, or
+    when the process ends."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
-        """`pid`: the pid that people are shown, of the program that this process speaks for; None: of this process
-        itself. Raises NoService, and FailstopError (no permission, another version, all slots taken)."""
+        """Take a client slot. `who`: the name that people see. `pid`: the pid that people see if this process speaks
+        for another program; by default its own. Raises NoService, and FailstopError (no permission, another version, or
+        all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
         self._commanded = (b"", 0)
-        """The last command, and when it was written."""
+        """The last command as bytes, and when it was written."""
         found = run(name)
         gate = attach(name, layout.GATE, found)
         with contextlib.ExitStack() as taken:
@@ -214,21 +223,23 @@ class Client:
             except segments.AttachError as error:
                 raise FailstopError(str(error)) from None
             except OSError as error:
-                # The two that a service leaves behind are no words for people.
+                # After these two errors, which a service leaves behind, the reason would only confuse people.
                 why = "" if error.errno in (errno.ENXIO, errno.ENOENT) else f" ({error.strerror})"
                 raise NoService(f"the service {name!r} is ending{why}: try again") from None
             life = None
-            # Without a thread or memory, the gate learns about a death later, when the kernel has freed the process.
+            # Without this thread, the gate notices a death later, when the kernel has freed the memory of the process.
             with contextlib.suppress(RuntimeError, OSError):
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
-            """The goodbye, once it was written. Without it, the gate takes the end of the slot for a death."""
+            """The goodbye of this client, once close() has made it. If there is no goodbye, the gate takes the end for
+            a crash."""
             own = os.getpid(), _files(self._segment.fileno(), self._bell)
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, *own)
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
-        # The gate must not watch a program that this process speaks for: it may end in order, which this one knows.
+        # The gate must not watch a program that this process speaks for. It may end normally, and only this process
+        # knows that.
         shown = (os.getpid(), pid_namespace()) if pid is None else (pid, 0)
         hello = records.HELLO.pack(self._session, *shown, self.who)
         self._segment.latest_writer("hello").write(hello)
@@ -236,7 +247,7 @@ class Client:
 
     @property
     def drove(self) -> bool:
-        """True once this client has given a command, so that its death is a driver's death."""
+        """True once this client has sent a command. From then on its death counts as the death of a driver."""
         return bool(self._commanded[0])
 
     def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
@@ -267,9 +278,9 @@ class Client:
             raise gone(self.name) from None
 
     def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of records.OF_SESSION; returns what was written. `t_ns`: the time that the values are about
-        (CLOCK_MONOTONIC), if not now. The gate reads them at its next tick, or with `wake` at once. Raises NoService,
-        ValueError."""
+        """Write one of records.OF_SESSION, and return the bytes. `t_ns`: the time that the values are about
+        (CLOCK_MONOTONIC), by default now. The gate reads the record at its next tick, or with `wake` at once. Raises
+        NoService, ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
         if wake:
@@ -279,25 +290,25 @@ class Client:
     def command(
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
-        """Give the gate a velocity command; returns at once. `t_ns`: when it was made, if not now. If it repeats the
-        last command, the gate reads it only at its next tick, which loses nothing. Raises NoService, and ValueError for
-        a source that is too long."""
+        """Send a velocity command to the gate, and return at once. `t_ns`: when the command was made (CLOCK_MONOTONIC),
+        by default now. The gate is not woken for a command that only repeats the last one; it reads this at its next
+        tick, which is early enough. Raises NoService, and ValueError for a source whose name is too long."""
         command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()
 
     def ask(self, verb: int, asked_ns: int | None = None) -> int:
-        """Make a request; returns its number. `asked_ns`: when it was made (CLOCK_MONOTONIC), if not now. Raises
-        NoService."""
+        """Send a request, and return its number. `asked_ns`: when the request was made (CLOCK_MONOTONIC), by default
+        now. Raises NoService."""
         self._number += 1
         self.write("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """The answer to the request with this number; None until it comes. When it has come, the state shows what the
-        request has changed. If a later request by another thread was answered in the meantime, that answer has replaced
-        this one."""
+        """The answer to the request with this number. None until the answer comes. Once it has come, the state shows
+        what the request has changed. If another thread has made a later request which was answered meanwhile, the
+        answer to this one is lost, and a refusal is returned instead."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -306,8 +317,8 @@ class Client:
         return None
 
     def close(self, *, in_order: bool = True) -> None:
-        """Give the slot back, so that a command of this client no longer counts. `in_order`: say goodbye, so that the
-        gate does not take it for a death."""
+        """Give the slot back, so that the last command of this client no longer counts. `in_order`: True for a normal
+        end; the client then says goodbye, so that the gate does not take the end for a crash."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
@@ -315,7 +326,7 @@ class Client:
 
 
 def _files(*fds: int) -> list[tuple[int, int]]:
-    """Which files have these descriptor numbers; empty if one of them is closed."""
+    """The device and inode of the file behind each descriptor. Empty if one of the descriptors is closed."""
     try:
         return [(found.st_dev, found.st_ino) for found in map(os.fstat, fds)]
     except OSError:
@@ -331,11 +342,12 @@ def _give_back(
     owner: int,
     files: list[tuple[int, int]],
 ) -> None:
-    """Give a slot back, so that a command in it no longer counts. It writes nothing in a fork of its `owner`, nor if
-    the program has closed these descriptors, because their numbers may belong to other `files` now."""
+    """Give a slot back, so that the last command in it no longer counts. It writes nothing in a forked child, where the
+    slot still belongs to the parent `owner`. It also writes nothing if the program has closed the descriptors, because
+    then other files may have their numbers. `files`: what _files() returned for these descriptors."""
     if os.getpid() == owner:
         if _files(held.fileno(), ring) == files:
-            # Another process may claim the slot before the gate has seen it free.
+            # The goodbye must come first, because another process may take the slot before the gate has seen it free.
             with contextlib.suppress(OSError, ValueError):
                 for goodbye in farewell:
                     held.latest_writer("left").write(goodbye)

@@ -1,5 +1,5 @@
-"""Stopping distance: how far the robot goes after a fault until it is at rest, computed from the settings, on level
-ground."""
+"""Stopping distance: how far the robot still goes after a fault until it is at rest. It is computed from the settings,
+for level ground."""
 
 from __future__ import annotations
 
@@ -13,40 +13,44 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""The time from the death of a process to the stop at the first board, s. No p99 in docs/reference/faults.md, measured
-on a shared machine, is higher. On a quiet machine it is about 1 ms."""
+"""How long it takes from the death of a process until the board gets the stop, in seconds. On a quiet machine this is
+about 1 ms. The value is not exceeded by any p99 in docs/reference/faults.md, where a shared machine was measured. It is
+for Hiwonder's board; for other boards see OWN_LINE_S."""
 SLACK_S = 0.015
-"""The time from the end of a deadline to the stop, s, by the same measurements."""
+"""How long it takes from the end of a deadline to the stop, in seconds, by the same measurements as DEATH_S."""
 SILENCE_S = 0.02
-"""The time from the end of a timeout to zero at any board, s. The gate acts when the timeout ends, or, for an
-interlock, one period later."""
+"""How long it takes from the end of a timeout until any board gets zero, in seconds. The gate acts when the timeout
+ends, or for an interlock one period later."""
 OWN_LINE_S = 0.012
-"""How much later than the first board another board gets a stop, s, because of its line, its loop, and the repeats of a
-stop that it may need. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
+"""How much later than Hiwonder's board another board gets a stop, in seconds. Its line or its loop may be slower, or
+the stop may have to be repeated. A USB adapter that removes the gaps between frames adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
-"""The longest distance, in the words of every screen."""
+"""The text in which every screen shows the longest stopping distance."""
 Reaction = tuple[float, str]
-"""How long after a failure the wheels are still told to turn, s, and what has failed."""
+"""One fault that failstop can detect: how long after the fault the wheels are still commanded to turn (s), and the
+fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """How far the base goes, m, if it keeps this speed for this time and then brakes to rest."""
+    """How far the base goes, in m, if it keeps this speed for this time and then brakes until it is at rest."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
 def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
-    """The speed at which distance_m() is `distance`, in m."""
+    """The speed with which the base stops within `distance` (m), if it keeps the speed for `seconds` and then brakes.
+    This is the inverse of distance_m()."""
     return braking_mps2 * (math.sqrt(seconds**2 + 2 * distance / braking_mps2) - seconds)
 
 
 def fastest_mps(settings: Settings) -> float:
-    """The highest speed of the base in any direction, m/s."""
+    """The highest speed that the base can have in any direction, m/s."""
     return math.hypot(settings["limits.vx_mps"], settings["limits.vy_mps"] * AXES[settings.text("wheels.layout")][1])
 
 
 def reactions(settings: Settings) -> Iterator[Reaction]:
-    """Every failure that failstop can detect while the base drives, with its time; a death is the first."""
+    """Every fault that failstop can detect while the base drives, with its reaction time. The first one is the death of
+    a process."""
     kind = settings.board()[0]
     board_s = OWN_LINE_S if is_described(kind) else 0.0
     yield DEATH_S + board_s, "a process of the service, or the program that drives, dies"
@@ -65,13 +69,14 @@ def reactions(settings: Settings) -> Iterator[Reaction]:
 
 
 def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:
-    """The longest distance, in m, and the failure that causes it. `share`: the share of the settings' speeds."""
+    """The longest stopping distance in m, and the fault that causes it. `share`: the share of the speeds in the
+    settings."""
     latest = max(reactions(settings))
     return distance_m(share * fastest_mps(settings), latest[0], settings[BRAKING]), latest
 
 
 def sentences(settings: Settings) -> list[str]:
-    """The distances as sentences, one per line."""
+    """Sentences about the stopping distances, for people."""
     speed, braking = fastest_mps(settings), settings[BRAKING]
     way, (seconds, latest) = furthest(settings)
     (death_s, _), *_ = reactions(settings)

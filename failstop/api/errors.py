@@ -1,4 +1,4 @@
-"""The errors that calls of failstop raise, each with the exit code of a command that fails with it."""
+"""The errors that failstop's calls raise. Each has the exit code of a command that fails with it."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ if TYPE_CHECKING:
 
 
 class FailstopError(Exception):
-    """Base class; the message is one line that names the thing and the remedy."""
+    """The base class of failstop's errors. The message is one line that says what is wrong and what to do."""
 
     exit_code = 1
     """Exit code of a command that fails with this error."""
 
 
 class Refused(FailstopError):
-    """The service refused the request. The message is the reason and, if there is one, the next step."""
+    """The service refused a request. The message gives the reason and, if there is one, the next step."""
 
     exit_code = 2
     """Exit code of a command that fails with this error."""
 
     def __init__(self, template: str, cause: Cause | None = None, step: str = "", refused_for: int = 0) -> None:
-        """`template`: the reason, with CAUSE in place of the cause's own text; `refused_for`: 1 for a latched stop, 2
-        for an interlock, 0 for anything else."""
+        """`template`: the reason, in which CAUSE is replaced by the text of `cause`. `step`: the next step.
+        `refused_for`: 1 if a stop is latched, 2 if an interlock does not hold, 3 if the wheels may turn, 0 for any
+        other reason."""
         super().__init__(template, cause, step, refused_for)
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """The cause of the stop because of which the request was refused; None if there was another reason."""
+        """The cause of the stop that is the reason for the refusal. None if there was another reason."""
         self.step = step
-        """The next step, with commands in backquotes; empty if the reason says everything."""
+        """The next step, with commands in backquotes. Empty if there is nothing to add to the reason."""
 
     @property
     def reason(self) -> str:
-        """Why it was refused."""
+        """The reason why the request was refused."""
         return self.template.replace(CAUSE, str(self.cause))
 
     def __str__(self) -> str:
@@ -43,7 +44,7 @@ class Refused(FailstopError):
 
 
 class NoService(FailstopError):
-    """No service of that name is running, or it has ended."""
+    """No service with this name is running, or it has ended."""
 
     exit_code = 3
     """Exit code of a command that fails with this error."""
@@ -54,9 +55,8 @@ class Undeclared(FailstopError, ValueError):
 
 
 class TimedOut(FailstopError, TimeoutError):
-    """The state that Robot.wait_for() waited for was not reached in time. The message says what the state is, and what
-    to do."""
+    """Robot.wait_for() waited too long. The message says what the state is, and what to do."""
 
 
 class NoAnswer(FailstopError):
-    """The service is running but did not answer in time."""
+    """The service is running, but it did not answer in time."""

@@ -1,7 +1,7 @@
-"""Events: programs read here what the service reports to people, in order, from the run that exists now.
+"""Events: what the service reports to people, in order. A program can read these events from the running service:
 
-for event in EventLog("failstop").read():
-    print(event.t, event.kind, event.text)
+    for event in EventLog("failstop").read():
+        print(event.t, event.kind, event.text)
 """
 
 from __future__ import annotations
@@ -18,49 +18,52 @@ from failstop.files.instance import DEFAULT_NAME
 from failstop.messages.packing import NEXT_STEP
 
 LOOK_S = 0.02
-"""Time between two looks for what may have changed."""
+"""How long to wait before looking for new events again, in seconds."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """One event. supervisor/kinds.py and docs/logs.md list its kinds, and the fields of each."""
+    """One event of the service. Its kinds, and the fields of each kind, are listed in docs/logs.md and
+    supervisor/kinds.py."""
 
     seq: int
-    """Counted from 1 in each run of the service. A gap means that events were overwritten before they were read."""
+    """The number of the event, counted from 1 in each run of the service. A gap in the numbers means that events were
+    overwritten before they were read."""
     t: float
     """When it happened (Unix time, s)."""
     ns: int
     """When it happened (CLOCK_MONOTONIC, ns)."""
     kind: str
-    """What it is about: stop, enabled, died, ... (docs/logs.md)."""
+    """The kind of the event, for example stop, enabled or died (docs/logs.md)."""
     level: str
-    """info, notice, warning, error or critical."""
+    """How important it is: info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 if fields need room."""
+    """One line for people, the same as in the journal. It is cut at 280 bytes, or at 200 or 120 if the fields need the
+    room."""
     fields: dict[str, str | int | float]
-    """The values of this kind of event, in addition to the text."""
+    """More values, which depend on the kind of the event."""
     next: str = ""
-    """The next step, with which the text ends; empty if the text names none."""
+    """The next step for people, which is also the end of `text`. Empty if there is none."""
 
     @property
     def what(self) -> str:
-        """The text without its next step."""
+        """The text without the next step."""
         return self.text[: -len(NEXT_STEP) - len(self.next)] if self.next else self.text
 
 
 class EventLog:
-    """Reads the events of a running service; needs no permission and no client slot. Not thread-safe."""
+    """Reads the events of a running service. It needs no permission and no client slot. Not thread-safe."""
 
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
-        """`past`: start with the earlier events that the service still has. Raises NoService, FailstopError."""
+        """`past`: True to begin with the earlier events that the service still has. Raises NoService, FailstopError."""
         self.name = name
         self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:
-        """The events since the last call; the first call returns all that the service still has (the last 256). Empty
-        if there are none. Raises NoService when the service has ended and all its events were read."""
-        over = self._run.over()  # asked first, because the last events must still be read then
+        """The events since the last call; empty if there are none. The first call returns all events that the service
+        still has (the last 256). Raises NoService when the service has ended and all its events have been read."""
+        over = self._run.over()  # checked before reading, because the last events must still be returned
         found = []
         while entry := self._ring.next():
             if event := unpack(entry[0], entry[2]):
@@ -71,8 +74,8 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Every event as it happens, starting with those that the service still has. Raises NoService when the service
-        has ended."""
+        """Yield every event as it happens, beginning with the events that the service still has. Raises NoService when
+        the service has ended."""
         while True:
             found = self.read()
             yield from found
@@ -81,7 +84,8 @@ class EventLog:
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:
-    """The event in an entry of the ring; None if it can't be read, for example because it is from another version."""
+    """Read an event from an entry of the service's ring. None if that is not possible, for example because another
+    version of failstop has written it."""
     try:
         found = msgpack.unpackb(payload)
         text, what = found["text"], found.get("what")

@@ -1,5 +1,5 @@
-"""Follow: reads the state of a service even if it ends and another run begins, and computes how much the robot
-shakes."""
+"""Follow: keeps reading the state of a service, even if the service ends and is started again. It also computes how
+much the robot vibrates."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from failstop.api.state import State
 
 KEPT = 256
 CHECK_S = 0.5
-"""Time between two looks for news."""
+"""How often to read new events, in seconds."""
 WINDOW = 10
-"""Samples (one second's worth) that the vibration is computed from."""
+"""The number of samples from which the vibration is computed. They cover one second."""
 
 
 class Follower:
-    """Reads the state and the events of the run that exists now."""
+    """Reads the state and the events of a service. If the service is restarted, it goes on with the new run."""
 
     def __init__(self, name: str) -> None:
-        """Raises NoService if no service is running at the beginning, and FailstopError."""
-        from failstop.api.robot import Robot  # takes 8 ms, which `failstop status` can do without
+        """Raises NoService if no service is running when this object is made, and FailstopError."""
+        from failstop.api.robot import Robot  # takes 8 ms, and `failstop status` doesn't need it
 
         self.name = name
         self.note = ""
-        """Why there is no state now; empty if there is one."""
+        """The reason why the last read() found no state. Empty before that."""
         self.events: list[Event] = []
         """The last events of this run, the oldest first."""
         self._robot = Robot(name)
@@ -35,7 +35,7 @@ class Follower:
         self._check_s = 0.0
 
     def read(self, now_s: float) -> State | None:
-        """The state; None if there is none, and then `note` says why. `now_s`: time.monotonic()."""
+        """The service's state. None if it can't be read; `note` then says why. `now_s`: time.monotonic()."""
         try:
             if now_s >= self._check_s:
                 self._check_s = now_s + CHECK_S
@@ -56,15 +56,16 @@ class Follower:
 
 
 class Vibration:
-    """Computes how much the gyro's x and y vary, because turning wheels shake it."""
+    """Computes how strongly the robot vibrates, from the gyro's x and y. Turning wheels shake the gyro."""
 
     def __init__(self) -> None:
         self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)
 
     def add(self, rate_radps: Sequence[float] | None) -> float | None:
-        """Add a reading; returns the standard deviation in rad/s, or None while too little is known."""
+        """Add a reading of the gyro. Returns the standard deviation in rad/s, or None while there are too few
+        readings."""
         if rate_radps is None or (self._samples and rate_radps == self._samples[-1]):
-            self._samples.clear()  # a sensor that repeats itself is dead
+            self._samples.clear()  # a sensor that repeats the same values is dead
         if rate_radps is not None:
             self._samples.append(rate_radps)
         if len(self._samples) < WINDOW:

@@ -1,4 +1,4 @@
-"""A futex that reports this program's death. A thread that only waits holds it."""
+"""A futex by which the service notices that this program has died. A thread holds it, which does nothing else."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex that is held by a thread of its own, so any thread may release it. The thread also ends when this object
-    is freed, even if a signal handler raises an exception at any moment, so none is left behind."""
+    """A futex that a thread of its own holds, so any thread of the program can release it. The thread ends when this
+    object is freed, even if a signal handler raises an exception at that moment. So no thread is left behind."""
 
     def __init__(self, word: Futex) -> None:
-        """Returns once it is held. Raises RuntimeError if no thread can be started, OSError if there is no descriptor
-        left."""
+        """Returns when the thread holds the futex. Raises RuntimeError if no thread can be started, and OSError if no
+        descriptor is left."""
         self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
-        # The thread keeps the reference whose callback tells it that this object is freed. In Python code, such as
-        # __del__, an exception of the next signal handler could prevent that.
+        # When this object is freed, the callback of this reference ends the thread. The thread itself keeps the
+        # reference. Python code such as __del__ would not do, because an exception from a signal handler could
+        # interrupt it.
         gone = weakref.ref(self, self._ends.put)
         word.detach()
         try:
@@ -43,18 +44,19 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the thread. The caller must clear the word of the futex before."""
+        """End the thread. Clear the word of the futex before."""
         self._ends.put(None)
 
 
 def _live(word: Futex, ends: SimpleQueue[object], held: _thread.LockType, _gone: object) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # signals are for the program's own threads
-    # Among a process's dying threads, the kernel then runs this one first. It sleeps until then, and delays nobody.
+    # When a process dies, the kernel then runs this thread before the others. Until then it sleeps, and delays no
+    # other.
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, _FIRST, os.sched_param(1))
     kept = None
     try:
-        with contextlib.suppress(OSError):  # without it the late news still comes
+        with contextlib.suppress(OSError):  # without this, the service notices a death later
             kept = word.hold()
     finally:
         held.release()

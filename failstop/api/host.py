@@ -1,5 +1,5 @@
-"""Host: how a service is started on this computer: in the same way as the last time, else by systemd if the unit is
-installed."""
+"""Host: the commands that start or stop a service on this computer. A service is started in the same way as the last
+time, or else by systemd if the unit is installed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
-"""Exists when systemd runs the machine (sd_booted(3))."""
+"""This folder exists if systemd runs the computer (sd_booted(3))."""
 FOLDERS = ("/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system")
-"""Where systemd finds units (systemd.unit(5))."""
+"""The folders in which systemd looks for units (systemd.unit(5))."""
 DEVICE = str(BY_KEY["device.path"].default)
 
 
 def unit(name: str) -> str:
-    """The systemd unit of a service of this name; empty if systemd does not run or has no such unit."""
+    """The systemd unit of the service with this name. Empty if systemd does not run here, or the unit is not
+    installed."""
     found = unit_of(name)
     file = found.replace(f"@{name}.", "@.")
     there = any(os.path.exists(root.at(f"{folder}/{file}")) for folder in FOLDERS)
@@ -25,21 +26,21 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """The command that starts the service, in backquotes. If there was a run before, it is the command line of that
-    run."""
+    """The command that starts the service, in backquotes. If the service was running before, it is started in the same
+    way."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
-    """The command that writes a stop without a service, in backquotes."""
-    import shlex  # a program that drives may not have it installed
+    """The command that writes a stop when no service is running, in backquotes."""
+    import shlex  # a computer on which only a program drives may not have this command
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:
-    """The command that shows the service's events in the journal, in backquotes; empty if there is no journal with
+    """The command that shows the service's events in the journal, in backquotes. Empty if the journal does not have
     them."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

@@ -1,7 +1,8 @@
-"""Reason: turns anything that a program gives as the reason of a stop into text.
+"""Reason: makes a text from any object that a program gives as the reason of a stop.
 
-A text, a number or an exception is converted here without calling the program's own code, which could raise or take its
-time while the stop waits. That code is called when the stop is out.
+The stop must not wait for code of the program, which may be slow or raise an error. So this module first makes a text
+without calling such code, from a string, a number or an exception. An object's own `__str__` is called only after the
+stop was sent.
 """
 
 from __future__ import annotations
@@ -13,21 +14,23 @@ if TYPE_CHECKING:
     from typing import Any
 
 LOOKED_AT = 1000
-"""Characters of a text that are looked at; a request has room for fewer."""
+"""How many characters of a text are looked at. A request has room for fewer."""
 LONGEST_BITS = 64
-"""Longest number that is shown, in bits. Python refuses to convert one with thousands of digits."""
+"""The longest integer that is shown, in bits. Python refuses to convert an integer with thousands of digits."""
 
 
 def plain(reason: object) -> tuple[str, bool]:
-    """The text that needs no code of the program, and whether it is complete. Never raises."""
+    """The text of an object, as far as it can be made without code of the program, and True if that is the whole text.
+    Never raises."""
     try:
         return _of_exception(reason) if issubclass(type(reason), BaseException) else _of_object(reason)
-    except Exception:  # even the name of a class can be code, through its metaclass
+    except Exception:  # even the class's name can be code, if it has a metaclass
         return "", False
 
 
 def own(reason: object) -> str:
-    """The object's text by its own `__str__`; empty if it has none. May raise anything, and may never return."""
+    """The text of an object from its own `__str__`. Empty if it has none. This may raise anything, and may never
+    return."""
     kind = type(reason)
     if kind.__str__ is object.__str__ and kind.__repr__ is object.__repr__:
         return ""
@@ -36,8 +39,8 @@ def own(reason: object) -> str:
 
 
 def _of_exception(reason: object) -> tuple[str, bool]:
-    """The exception's class and arguments. An exception with its own `__str__`, or with an object as an argument, has
-    more to say."""
+    """The class and the arguments of an exception as text, and True if that is the whole text. It is not if the
+    exception has its own `__str__` or an object as an argument."""
     kind = type(reason)
     arguments = BaseException.args.__get__(reason)  # type: ignore[attr-defined]  # whatever the class calls `args`
     told = [words for each in arguments if (words := _builtin(each)) is not None]
@@ -52,11 +55,11 @@ def _of_object(reason: object) -> tuple[str, bool]:
 
 
 def _builtin(value: Any) -> str | None:
-    """The text of a string, a number or None; None for any other object."""
+    """The text of a string, bytes, a number or None. Returns None for any other object."""
     kind = type(value)
     if value is None:
         return ""
-    # By the methods of the builtin classes, because a subclass may override them with anything.
+    # Call the methods of the builtin classes directly, because a subclass may have replaced them.
     words: str | None = None
     if issubclass(kind, str):
         words = str.__getitem__(value, slice(LOOKED_AT))

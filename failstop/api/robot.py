@@ -1,9 +1,9 @@
-"""Robot and AsyncRobot: drive and stop a robot from Python. Calls that take time wait in Robot and are awaited in
-AsyncRobot; all other calls are the same in both.
+"""Robot and AsyncRobot: drive and stop a robot from Python. A call that takes time waits in Robot, and is awaited in
+AsyncRobot. All other calls are the same in both. For example:
 
-match robot.drive(0.2, 0.0, 0.0):
-    case Preempted(by=who): print(who, "drives")
-    case Blocked(block=Block.NO_SCAN): look_at_the_sensor()
+    match robot.drive(0.2, 0.0, 0.0):
+        case Preempted(by=who): print(who, "drives")
+        case Blocked(block=Block.NO_SCAN): look_at_the_sensor()
 """
 
 from __future__ import annotations
@@ -30,23 +30,25 @@ if TYPE_CHECKING:
     from failstop.api.why import Why
 
 MOST_OF_A_NAME = 64
-"""The longest name of an operator, bytes; a longer one is cut."""
+"""The longest name of an operator, in bytes. A longer name is cut."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Driving:
-    """This command moves the wheels."""
+    """The result of drive() if this command moves the wheels."""
 
     velocity: Velocity
-    """The velocity that the gate commands. It approaches the requested one along the ramp, within the limits."""
+    """The velocity that the gate commands at present. It approaches the requested velocity along the ramp, within the
+    limits."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
-    """A source of higher priority drives, so this command moves nothing now. It is not queued: go on commanding."""
+    """The result of drive() if a source with a higher priority drives, so this command moves nothing. The command is
+    not kept for later, so go on commanding."""
 
     by: str
-    """The program that drives: name and pid."""
+    """The program that drives instead, with its name and pid."""
     source: str
     """The source that this program commands as."""
 
@@ -56,24 +58,24 @@ class Preempted:
 
 @dataclasses.dataclass(frozen=True)
 class Blocked:
-    """The wheels are stopped."""
+    """The result of drive() if the wheels are stopped."""
 
     block: Block
-    """Why the wheels are stopped. NO_COMMAND means that the gate did not get the command in time."""
+    """Why the wheels are stopped. NO_COMMAND means that the gate did not get this command in time."""
     why: str
-    """The same reason in words; for a latched stop, the text of its cause."""
+    """The same reason in words. For a latched stop it is the text of the cause."""
 
     def __bool__(self) -> bool:
         return False
 
 
 Answer = Driving | Preempted | Blocked
-"""The results of drive(). In a condition only Driving is true."""
+"""What drive() returns. As a condition, only Driving is true."""
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """The answer that follows from the gate's decision, and True if it is settled. It is not settled if the gate may
-    not have seen the newest command yet, and that command could change the answer. Pure."""
+    """The answer to a command, and True if it is final. `decided`: the gate's last decision. The answer is not final if
+    the gate may not have seen the newest command yet, and that command could change the answer. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -91,12 +93,12 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 
 
 class Calls(Session):
-    """The calls that never wait, which Robot and AsyncRobot share."""
+    """The calls that never wait. Robot and AsyncRobot both have them."""
 
     def _command(
         self, vx: float, vy: float, wz: float, *, manual: bool, source: str, proven_ns: int | None = None
     ) -> None:
-        """Hand a command over; the gate picks it up. Raises what drive() raises."""
+        """Send a command to the gate, which reads it a moment later. Raises the same errors as drive()."""
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
@@ -105,33 +107,34 @@ class Calls(Session):
             self._slot(run).command(vx, vy, wz, manual=manual, source=source, t_ns=proven_ns)
 
     def _of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> Velocity:
-        """The velocity of the base at these wheel speeds, as State.of_wheels(). Raises ValueError, NoService,
-        FailstopError."""
+        """The velocity of the base at these wheel speeds. Raises ValueError, NoService, FailstopError."""
         if not all(map(isfinite, (*speeds_radps, steering_rad or 0.0))):
             raise ValueError(f"drive_wheels{speeds_radps}: every value must be finite")
         with self._lock:
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """The answer for this source, by the gate's last decision, and True if it is settled; see judge()."""
+        """The answer to this source's command, judging by the gate's last decision, and True if it is final; see
+        judge()."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
-        """Report that the obstacle sensor has delivered just now. Commands of programs move the wheels only while this
-        is called at least every 0.5 s (setting scan.timeout_s); otherwise they are blocked with `no scan`. Raises
+        """Report that the obstacle sensor has just delivered a reading. Commands of programs move the wheels only while
+        this is called at least every 0.5 s (setting scan.timeout_s). Otherwise they are blocked with `no scan`. Raises
         NoService."""
         with self._lock:
             self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Assert that these interlocks hold now (names from the settings' [interlocks]), and repeat that within their
-        timeouts. Motion can be enabled only while all declared interlocks hold, and is disabled when one is lost. Name
-        all interlocks of this program in each call: one that a call leaves out lapses after its timeout.
+        """Report that these interlocks hold at this moment. Repeat this within their timeouts. The names are those in
+        the settings' [interlocks]. Motion can be enabled only while all interlocks in the settings hold. If one no
+        longer holds, motion is disabled. Name all interlocks of this program in each call, because an interlock that is
+        missing counts as lost after its timeout.
 
-        Raises Undeclared for an interlock that the settings do not name, and then asserts none; NoService when no
-        service is running.
+        Raises Undeclared if the settings do not name one of these interlocks, and then reports none. Raises NoService
+        when no service is running.
         """
         with self._lock:
             run = self._current()
@@ -141,17 +144,20 @@ class Calls(Session):
     hold = Renamed("assert_interlocks")
 
     def attend(self, who: str, proven_ns: int | None = None) -> None:
-        """Report that an operator of this name is present now, or was present at `proven_ns` (CLOCK_MONOTONIC, ns): for
-        example, when you asked a question that was answered later. Repeat it about every 0.1 s. If the setting
-        attend.required is "on", motion needs an operator. An operator of whom nothing was heard for attend.lease_s (1
-        s) counts as gone. That latches a stop, unless another operator is present; so do leave() and the end of this
-        program. A Robot speaks for one operator at a time: if you pass another name, the operator before has left.
-        Raises NoService."""
+        """Report that an operator is present. Repeat this about every 0.1 s. If the setting attend.required is "on",
+        the robot moves only while an operator is present. `who` is the operator's name.
+
+        The operator counts as present now, or at `proven_ns` (CLOCK_MONOTONIC, ns). For example, if the operator
+        answers a question of your program, pass the time at which it was asked. An operator who was not reported for
+        attend.lease_s (1 s) counts as gone. That latches a stop, unless another operator is present. So do leave() and
+        the end of this program. A Robot reports one operator at a time; if you pass another name, the first operator
+        counts as gone. Raises NoService.
+        """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
 
     def leave(self) -> None:
-        """Report that the operator leaves now. Raises NoService."""
+        """Report that the operator leaves. Raises NoService."""
         self._attended("nobody", 0)
 
     def _attended(self, who: str, t_ns: int) -> None:
@@ -159,20 +165,20 @@ class Calls(Session):
             self._client().write("attended", [who], t_ns=t_ns, wake=True)
 
     def say(self, sees: str, wrong: str = "") -> None:
-        """Tell people in one line what this program sees and, if anything is wrong, what. `status`, `why`, `doctor` and
-        the events show it under the program's name, the newest line only. At most 190 bytes each. Repeat it every few
-        seconds, because old lines are shown with their age."""
+        """Tell people in one line what this program sees, and in another line what is wrong, if anything is. `failstop
+        status`, `failstop why`, `failstop doctor` and the events show the newest lines with the program's name. Each
+        can have 190 bytes. Repeat this every few seconds, because old lines are shown with their age."""
         with self._lock:
             self._client().write("said", sees, wrong)
 
     def estop(self, reason: object = "") -> None:
-        """Latch a protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
-        Motion stays off until reset() and enable(). It needs no permission, and works with a service of any version and
-        even on a closed Robot. Raises NoService if no service is running.
+        """Latch a protective stop. This is a stop by software (category 2), not an emergency stop in the sense of ISO
+        13850. Motion stays off until reset() and enable(). It needs no permission, and works with a service of any
+        version and even on a closed Robot. Raises NoService if no service is running.
 
-        The latch's reason is `stop request: REASON (says it is CLIENT, pid N)`, because anyone may ask under any name.
-        A reason longer than 180 bytes is cut. It may be any object, such as an exception: the stop never waits for its
-        `__str__`, and the object's own text follows in the events.
+        People see `stop request: REASON (says it is CLIENT, pid N)`, because anyone may ask for a stop under any name.
+        A reason longer than 180 bytes is cut. The reason may be any object, such as an exception. The stop never waits
+        for its `__str__`; the object's own text follows in the events.
         """
         send_stop(self.name, reason, self.client_name)
 
@@ -185,29 +191,31 @@ class Calls(Session):
         return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
-        """Explain why the wheels are stopped, what proves it, and what to do. `str` of it is the three lines that
-        `failstop why` prints. Raises NoService, FailstopError."""
-        from failstop.api.why import explain  # imported here because driving does not need it
+        """Explain why the wheels are stopped, what proves it, and what to do. str() of the result has the three lines
+        that `failstop why` prints. Raises NoService, FailstopError."""
+        from failstop.api.why import explain  # imported only here, because driving does not need it
 
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call, each sample once with its time: Imu, Pad, Odometry. The first call
-        starts the collection, and so does the first one in a new run. Samples that one read brought have the same time.
-        The state has only the newest of each. Raises NoService, FailstopError."""
+        """The board's reports since the last call: Imu, Pad and Odometry samples, each with its time. Unlike the state,
+        which has only the newest sample of each type, this misses none. The first call starts the collection, and so
+        does the first call after a restart of the service. Samples that came in the same read have the same time.
+        Raises NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 
     @property
     def arm(self) -> Arm:
-        """The robot's arm. Its calls wait; in an event loop, use `await asyncio.to_thread(robot.arm.pose, "drive")`.
+        """The robot's arm. Its calls wait, so in an event loop use `await asyncio.to_thread(robot.arm.pose, "drive")`.
         Raises FailstopError if the settings name no joints."""
         return Arm(self)
 
 
 class AsyncRobot(Calls):
-    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop. Only
-    enable, disable, reset, limit_speed and wait_for are awaited; calls that are not listed here are as in Robot."""
+    """A robot for asyncio, from `Robot.connect()`. It is an asynchronous context manager, and belongs to one event
+    loop. Only enable, disable, reset, limit_speed and wait_for are awaited. Calls that are not listed here are the same
+    as in Robot."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -223,8 +231,8 @@ class AsyncRobot(Calls):
             self._end(in_order=in_order)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
-        """Like Robot.drive, but it never waits. The answer is the gate's last decision, so it may be about the command
-        before."""
+        """Like Robot.drive, but it never waits. The answer comes from the gate's last decision, so it may be about the
+        command before this one."""
         self._command(vx, vy, wz, manual=manual, source=source)
         return self._judged(source)[0]
 
@@ -262,24 +270,24 @@ class AsyncRobot(Calls):
         return await _through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """Like Robot.events: `async for event in robot.events()`. It yields every event since this call, even if a task
-        begins to iterate later. Raises NoService when the run ends."""
+        """Like Robot.events, for `async for event in robot.events()`. It yields every event since this call, even if a
+        task begins to iterate later. Raises NoService when the service ends."""
         return _follow(EventLog(self.name, past=past))
 
 
 class Robot(Calls):
-    """A connection to the running service of that name; a context manager.
+    """A connection to the running service with this name. It is a context manager.
 
-    Reading the state and estop() need no permission. The other calls take one of the service's client slots at their
-    first use, which needs the group `failstop` (or the service's user).
+    Reading the state and estop() need no permission. For all other calls the Robot takes one of the service's client
+    slots when the first such call is made. That needs the group `failstop` (or the service's user).
 
-    Every call notices a restart of the service, and then uses the new run, in which motion is not enabled. While no
+    If the service is restarted, the next call notices it and uses the new run, in which motion is not enabled. While no
     service is running, every call raises NoService. After close(), every call except estop() raises FailstopError, in
-    every thread. A Robot that is freed gives its slot back. A Robot in a forked child takes a slot of its own.
+    every thread. A Robot that is freed gives its slot back. In a forked child, the Robot takes a slot of its own.
 
-    Several threads may use one Robot. It is one client, so the newest drive() counts, whichever thread called it. A
-    Robot with a slot has a thread that only sleeps. When the program dies, the end of that thread tells the gate at
-    once, however long the kernel takes to free the program's memory.
+    Several threads may use one Robot. For the service it is one client, so the newest drive() counts, whichever thread
+    has called it. A Robot with a slot has a thread that only sleeps. When the program dies, the end of that thread
+    tells the gate at once, however long the kernel takes to free the program's memory.
     """
 
     connect = AsyncRobot
@@ -303,18 +311,19 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3 s
-        unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are clamped. After a
-        restart of the service nothing moves until you enable motion again.
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. The command is valid for its source's
+        timeout (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
+        clamped. After a restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (why); in a condition only Driving is true. While the
-        wheels turn it does not wait, and the answer may be about the command before. Otherwise it waits until the gate
-        has taken this command, which takes 0.3 ms on an idle machine, but no longer than `wait_s`; after that, or with
-        0, the answer may be about the command before.
+        Returns Driving, Preempted (by which program) or Blocked (why). As a condition, only Driving is true. While the
+        wheels turn, the call does not wait, and the answer may be about the command before this one. Otherwise it waits
+        until the gate has read this command, but no longer than `wait_s`. That takes 0.3 ms on an idle machine. If the
+        time is over, or `wait_s` is 0, the answer may be about the command before.
 
-        A command that was delayed, for example by a network, counts from `proven_ns` (CLOCK_MONOTONIC, ns), the newest
-        moment at which you know that it was wanted. A command by a person (`manual`) is exempt from the scan gate.
-        `source` is a name from the settings' [sources].
+        A command may have been delayed on its way to you, for example by a network. Then pass `proven_ns`
+        (CLOCK_MONOTONIC, ns), the newest moment at which you know that the command was wanted; its timeout counts from
+        then. With `manual`, a person drives, and the command works without an obstacle sensor. `source` is a name from
+        the settings' [sources].
 
         Raises ValueError for a value that is not finite, Undeclared (also a ValueError) for a source that the settings
         do not name, NoService when no service is running.
@@ -336,56 +345,64 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command the speed of each wheel, rad/s, positive forward, in the order of `state.wheels_radps` (its `names`).
-        A steered base has two rear wheels, which set how fast it goes and turns; with `steering_rad` (positive to the
-        left) their mean sets how fast it goes, and the angle how it turns.
+        """Command the speed of each wheel, rad/s, positive forward. The order is that of `state.wheels_radps`, whose
+        `names` shows it. A steered base has two rear wheels, whose speeds set how fast it goes and turns. If you also
+        pass `steering_rad` (positive to the left), the mean of their speeds sets how fast it goes, and the angle sets
+        how it turns.
 
-        It calls drive() with the velocity of a base whose wheels turn like this, computed with the sizes in the
-        settings. So all limits, ramps, sources and results are those of drive(): a limit slows all wheels in the same
-        proportion, and four mecanum wheels get the closest speeds that they can roll without slip. Raises what drive()
+        This computes the velocity of a base whose wheels turn like this, from the sizes in the settings, and calls
+        drive() with it. So all limits, ramps, sources and results are those of drive(). A limit slows all wheels in the
+        same proportion. Four mecanum wheels get the closest speeds that they can roll without slip. Raises what drive()
         raises, and ValueError for another number of wheels, or for an angle on a base without steering.
         """
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
 
     def enable(self, progress: Progress = None) -> str:
-        """Enable motion. It is better to let a person do it (`failstop enable`) and wait_for("enabled"): a program that
-        enables motion by itself drives off unattended when it is restarted after a crash. Raises Refused with the
-        reason: a stop is latched, not ready, an interlock does not hold, or the request was made before the last stop.
-        An arm goes to its drive pose first, which takes seconds; `progress` is called with each text about that.
-        arm.hold(), disable() or a stop ends it."""
+        """Enable motion. It is better to let a person do it (`failstop enable`) and use wait_for("enabled") in the
+        program. A program that enables motion by itself drives off unattended when it is restarted after a crash.
+
+        If the robot has an arm, the arm first moves to its drive pose, which takes seconds. `progress` is called with
+        each text about that. arm.hold(), disable() or a stop ends it. Raises Refused with the reason: a stop is
+        latched, the service is not ready, an interlock does not hold, or the request was made before the last stop.
+        """
         return sleep_through(self._asking(records.ENABLE, progress))
 
     def disable(self) -> str:
-        """Disable motion: the wheels stop at once."""
+        """Disable motion, which stops the wheels at once."""
         return sleep_through(self._asking(records.DISABLE))
 
     def reset(self, *, seen: int | None = None) -> str:
-        """Clear the latched stop; motion stays disabled until enable(). If nothing is latched, it changes nothing.
-        Raises Refused if another stop came after this call was made. With `seen`, the `epoch` of a State that the
-        deciding person has looked at, it raises Refused if another stop came after that State."""
+        """Clear the latched stop. Motion stays disabled until enable(). If nothing is latched, this changes nothing.
+        Raises Refused if another stop came after this call was made.
+
+        If a person has looked at a State and decided to reset, pass its `epoch` as `seen`. Then Refused is also raised
+        if another stop came after that State.
+        """
         return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
-        """Limit every driver to this share of the settings' speeds (0.05 to 1, not m/s), until another limit is set or
-        the service ends. It takes effect at once, along the ramps. Raises Refused, ValueError."""
+        """Limit all drivers to this share of the speeds in the settings. `share` is a number from 0.05 to 1, not a
+        speed in m/s. It takes effect at once, along the ramps, and holds until another limit is set or the service
+        ends. Raises Refused, ValueError."""
         return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """Wait for a state, and return it: a word (docs/python.md), or a function of the state that returns True. It
-        also waits for a service that is not running. Raises TimedOut, which says what the state is and what to do, and
-        ValueError for an unknown word."""
+        """Wait for a state, and return it. `what` is a word such as "enabled" (docs/python.md lists them), or a
+        function that returns True for the wanted State. This also waits while no service is running. Raises TimedOut,
+        which says what the state is and what to do, and ValueError for an unknown word."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """The service's events as they happen: stops, deaths, requests (docs/logs.md). It waits for each next one.
-        `past`: begin with the earlier events of this run, the last 256. Raises NoService when the run ends."""
+        """The service's events as they happen, such as stops, deaths and requests (docs/logs.md). The iterator waits
+        for each next event. `past`: begin with the earlier events of this run (the last 256). Raises NoService when the
+        run ends."""
         return EventLog(self.name, past=past).follow()
 
 
 async def _through(steps: Steps[T]) -> T:
-    """Run the steps as session.sleep_through() does, while the event loop goes on in between."""
-    import asyncio  # takes as long to import as everything else here
+    """Run a call in steps like session.sleep_through(), but let the event loop go on between the steps."""
+    import asyncio  # imported only here, because it takes as long to import as everything else in this module
 
     try:
         while True:

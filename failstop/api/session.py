@@ -1,7 +1,7 @@
-"""Session: a program's connection to one service: the run, the client slot, and the requests.
+"""Session: a program's connection to one service, with the client slot and the requests.
 
-Calls that take time are generators of steps. Between two steps the caller sleeps: in Robot the thread, in AsyncRobot
-the task.
+A call that takes time is a generator of steps. The caller sleeps between two steps. In Robot the thread sleeps, and in
+AsyncRobot only the task.
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""A call in steps. Each step yields how long to sleep, s."""
+"""A call that is made in steps. It yields how long to sleep before the next step, in seconds."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""States that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
-disabled, latched (a stop is latched), clear (no stop is latched), moving and standing (what the gate commands), still
-(since the last stop, the board's reports or the IMU have shown that the wheels are still)."""
+"""The words that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched),
+enabled, disabled, latched (a stop is latched), clear (no stop is latched), moving (the gate commands a velocity),
+standing (the gate commands none), and still (since the last stop, the board's reports or the IMU have shown that the
+wheels are still)."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
-"""How long to wait for the answer to a request, s. The gate answers within a tick."""
+"""How long to wait for the answer to a request, in seconds. The gate normally answers within a tick."""
 POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """How long to sleep until the next look, s, in a wait that began at `begun_s` (time.monotonic()). The pauses get
-    longer, because an answer comes at once or takes long."""
+    """How long to sleep before looking again, in seconds. `begun_s`: when the wait began (time.monotonic()). The pauses
+    get longer, because an answer that does not come at once takes long."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
@@ -71,18 +72,18 @@ assert _CHECKS.keys() == set(get_args(Word))
 
 
 DISABLE_FIRST = "`failstop disable`, or robot.disable(), because the arm moves only while motion is disabled"
-"""The step to take after a refusal because the wheels may turn."""
+"""The next step if a request was refused because the wheels may turn."""
 
 
 def own_name() -> str:
-    """The name of this program, which is its file's name. A script that Python reads from standard input, or from `-c`,
-    is called python."""
+    """The name of this program, which is its file's name. If Python reads the program from standard input or from `-c`,
+    the name is python."""
     name = os.path.basename("".join(sys.argv[:1]))
     return name if name not in ("", "-", "-c") else "python"
 
 
 class Session:
-    """What Robot and AsyncRobot share below their calls. Thread-safe."""
+    """The part of Robot and AsyncRobot that connects to the service. Thread-safe."""
 
     def __init__(
         self,
@@ -92,25 +93,26 @@ class Session:
         answer_s: float = ANSWER_S,
         disable_on_exit: bool = True,
     ) -> None:
-        """`client` is the name that others see for this program; by default its file name. `answer_s`: how long the
-        gate may take to answer a request. `disable_on_exit`: motion that this Robot enabled is disabled at its end, by
-        leaving `with` or by close(); False leaves it enabled for other programs.
+        """Connect to the service `name`. `client` is the name under which others see this program; by default it is the
+        program's file name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: if this
+        Robot has enabled motion, it disables motion at its end, that is, when `with` is left or in close(). With False,
+        motion stays enabled for other programs.
 
-        Raises NoService when no service is running, FailstopError for an invalid name. Other obstacles to driving or to
-        reading the state, such as a service of another version, are raised by those calls, because they must not keep
-        you from estop().
+        Raises NoService when no service is running, FailstopError for an invalid name. If something else prevents
+        driving or reading the state, for example a service of another version, the calls for that raise the error. It
+        must not prevent estop().
         """
         self.name = name
         self.client_name = client or own_name()
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
-        self._lock = threading.RLock()  # a signal handler may call what it has interrupted
+        self._lock = threading.RLock()  # reentrant, because a signal handler may call a method that it has interrupted
         self._closed = False
         self._enabled = False
         """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """The request that the gate has not answered yet: its thread, and an object of its own if a task waits for
-        it."""
+        """The request that the gate has not answered yet. It is given by the thread that has made it and, if a task of
+        an event loop waits for the answer, by an object of that task."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -119,13 +121,14 @@ class Session:
             self._run = StateReader(name)
 
     def close(self) -> None:
-        """Give the client slot back, for good. If this program was driving, the wheels stop at once, and no command of
-        this Robot reaches the service any more. Motion that it enabled is disabled (`disable_on_exit`)."""
+        """Give the client slot back for good. If this program was driving, the wheels stop at once. If this Robot has
+        enabled motion, motion is disabled (unless `disable_on_exit` is False). After that, no command of this Robot
+        reaches the service."""
         self._close(in_order=True)
 
     def _close(self, *, in_order: bool) -> None:
         try:
-            # Close even if disabling fails; closing stops the wheels too.
+            # Close even if disabling fails, because closing stops the wheels too.
             with contextlib.suppress(FailstopError):
                 if self._disables_at_end(in_order=in_order):
                     sleep_through(self._asking(records.DISABLE))
@@ -133,8 +136,8 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot disables, when it ends, the motion that it has enabled. If the driver dies, the gate does
-        that itself and reports which driver it was. Raises FailstopError."""
+        """True if this Robot must disable motion when it ends, because it has enabled motion. If a driver dies, the gate
+        normally disables motion itself and reports which driver has died, so the Robot need not. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -157,10 +160,10 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The run that exists now. If it is over and its last processes are still ending, its state can still be read.
-        Raises NoService, FailstopError."""
+        """The service's present run. If the run has ended and its last processes are just ending, its state can still
+        be read. Raises NoService, FailstopError."""
         self._check_open()
-        run = self._run  # a signal handler may close this meanwhile
+        run = self._run  # kept in a variable, because a signal handler may close this object meanwhile
         if run is None or run.over():
             self._leave()
             run = self._run = StateReader(self.name)
@@ -172,7 +175,7 @@ class Session:
             if run.over():
                 raise gone(self.name)
             connected = self._connected = Client(self.name, self.client_name)
-        if self._closed:  # a signal handler closed it meanwhile
+        if self._closed:  # a signal handler has closed this object meanwhile
             self._leave()
             self._check_open()
         return connected
@@ -181,8 +184,8 @@ class Session:
         return self._slot(self._current())
 
     def _forked(self) -> None:
-        """Called in the child of a fork, where the slot belongs to the parent, and nobody knows which thread held the
-        lock."""
+        """Called in the child after a fork. The client slot belongs to the parent, and the lock may be held by a thread
+        that does not exist in the child, so this drops both."""
         self._lock = threading.RLock()
         self._pending = None
         self._enabled = False
@@ -190,8 +193,8 @@ class Session:
 
     @property
     def state(self) -> State:
-        """One snapshot of the service. If its supervisor has just died, the snapshot shows that as a latched stop.
-        Raises NoService once the last of its processes has ended, FailstopError."""
+        """The state of the service at this moment. If its supervisor has just died, the state shows that as a latched
+        stop. Raises NoService once the last process of the service has ended, FailstopError."""
         with self._lock:
             return self._current().read()
 
@@ -210,14 +213,17 @@ class Session:
         asked_ns: int = 0,
         awaited: bool = False,
     ) -> Steps[str]:
-        """Send one request to the gate, and wait until it is answered.
+        """Send one request to the gate, and wait for the answer.
 
-        The gate keeps only one request of each client, and its answer, so the requests of several threads or tasks are
-        sent one after the other. A request that takes long, such as a move of the arm, lets others pass; that is how it
-        can be given up. `progress` is called with each text about the progress; `about`: a record that belongs to the
-        request, and its values; `asked_ns`: when the request was made, if not now, because its caller does not know of
-        a stop that comes while the request waits for its turn; `awaited`: True if a task of an event loop waits, False
-        if the thread does, with all its tasks. Raises Refused, NoAnswer, NoService, FailstopError.
+        The gate keeps only the newest request of each client. So if several threads or tasks make requests, these are
+        sent one after the other. A request that takes long, such as a move of the arm, lets others pass, which can also
+        end it.
+
+        `progress` is called with each text about the progress. `about`: a record that belongs to the request, followed
+        by its values. `asked_ns`: when the request was made, by default now. The gate needs this, because a stop may
+        come while the request waits for others, and the caller does not know about that stop. `awaited`: True if a task
+        of an event loop waits; False if a whole thread waits, with all its tasks. Raises Refused, NoAnswer, NoService,
+        FailstopError.
         """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
@@ -227,7 +233,7 @@ class Session:
             client, run, number = sent
             before, until_s = self._enabled, time.monotonic() + self._answer_s
             if verb == records.ENABLE:
-                self._enabled = True  # it may be granted even if nobody waits for the answer any more
+                self._enabled = True  # the gate may enable motion even if the answer does not arrive
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + self._answer_s
@@ -251,7 +257,8 @@ class Session:
             self._pass(turn)
 
     def _unanswered(self) -> NoAnswer:
-        """The error for a request that was not answered in time. If the gate is down, it says so, and until when."""
+        """The error if the gate did not answer a request in time. If the gate is down, the message says so, and until
+        when."""
         why = ""
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
@@ -259,20 +266,21 @@ class Session:
         return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error for a request that was refused, with the next step. After a stop that is what an enable needs."""
+        """The error if the gate refused a request, with the next step. If it was refused because of a latched stop, the
+        step is the one that leads to an enable."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
-            with contextlib.suppress(FailstopError):  # the service is ending, so the reason says it all
+            with contextlib.suppress(FailstopError):  # if the service is ending, there is no next step
                 step = steps.after_refusal(self.state, goal, known=answer.refused_for == records.FOR_AN_INTERLOCK)
         return Refused(answer.text, answer.cause, step, answer.refused_for)
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """Send a request. Returns its client, its run and its number; None while the request of another thread or task
-        has no answer yet. A signal handler need not wait for the code that it has interrupted, nor a thread for its
-        tasks."""
+        """Send a request. Returns its client, its run and its number. Returns None if another thread or task has made a
+        request that is not answered yet. A signal handler does not wait for the request of the code that it has
+        interrupted. A thread does not wait for the requests of its own tasks."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending
@@ -319,7 +327,7 @@ class Session:
 
 
 def sleep_through(steps: Steps[T]) -> T:
-    """Run the steps, sleeping in between; returns their result, and raises what they raise."""
+    """Run a call in steps, and sleep between the steps. Returns its result, and raises what it raises."""
     try:
         while True:
             time.sleep(next(steps))

@@ -1,4 +1,5 @@
-"""Snapshot: the types of the service's state. Times are in s, lengths in m, angles in rad, voltages in V."""
+"""Snapshot: the types of which the service's state consists. Times are in s, lengths in m, angles in rad, voltages in
+V."""
 
 from __future__ import annotations
 
@@ -16,23 +17,23 @@ PadMode = Literal["locked", "drive", "joint"]
 
 
 class Block(enum.Enum):
-    """Why the wheels may not turn. If several reasons apply, the first one in this order is given."""
+    """Why the wheels may not turn. If several reasons apply, the state has the first one in this order."""
 
     LATCHED = "latched"
-    """A stop is latched: `State.cause`. It needs a reset."""
+    """A stop is latched (`State.cause`). It needs a reset."""
     DISABLED = "disabled"
-    """Motion was not enabled since the start, the last stop or the last disable."""
+    """Motion has not been enabled since the start, the last stop or the last disable."""
     HELD = "let go first"
-    """The source has been commanding a velocity since before motion was enabled. Its commands count after a zero or a
-    pause."""
+    """The source has commanded a velocity since before motion was enabled. Its commands count only after it has sent
+    zero or paused."""
     NO_COMMAND = "no command"
-    """No source has a command that is younger than its timeout."""
+    """No source has sent a command recently, so every command has expired."""
     NO_SCAN = "no scan"
-    """The obstacle sensor is silent; without it only a person may drive."""
+    """The obstacle sensor is silent. Without it only a person may drive."""
 
     @classmethod
     def of(cls, text: str | None) -> Block | None:
-        """The block for the gate's text (`State.blocked`)."""
+        """The Block for a text of the gate (`State.blocked`). None if the text is None, so that nothing is blocked."""
         told = {
             box.DISABLED: cls.DISABLED,
             box.HELD: cls.HELD,
@@ -54,11 +55,13 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s. Positive is forward, or for three omni wheels counter-clockwise."""
+    """The speed of each wheel in rad/s. Positive is forward. For three omni wheels, positive turns the robot
+    counter-clockwise."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """front_left, rear_left, front_right, rear_right; or left, rear, right; or left, right."""
+        """The names of the wheels, in the order of the speeds. For four wheels they are front_left, rear_left,
+        front_right, rear_right; for three left, rear, right; for two left, right."""
         return tuple(name.replace(" ", "_") for name in WHEEL_NAMES[len(self)])
 
     def __getattr__(self, name: str) -> float:
@@ -69,39 +72,40 @@ class Wheels(tuple[float, ...]):
 
 @dataclasses.dataclass(frozen=True)
 class Turning:
-    """What is known about the wheels now, from the board's reports or from the IMU."""
+    """What is known about the wheels at present, from the board's reports or from the IMU."""
 
     does: Literal["unknown", "still", "turning"] = "unknown"
-    """turning, still, or unknown: nothing was read yet, or nothing for half a second."""
+    """What the wheels do: turning, still, or unknown. It is unknown if nothing was read yet, or nothing in the last
+    half second."""
     by: Literal["", "IMU", "wheels"] = ""
-    """What has observed it: wheels (the board's reports about them), or IMU, which only feels whether the robot moves
-    or is moved."""
+    """What has observed the wheels: `wheels` for the board's reports about them, or `IMU`. The IMU only feels that the
+    robot moves or is moved."""
     unexpected: bool = False
-    """True if the wheels turn although they were told zero for longer than the setting still.after_s allows."""
+    """True if the wheels turn although zero has been commanded for longer than the setting still.after_s allows."""
     since_s: float | None = None
-    """For how long this has been so, s; None if not known."""
+    """How long the wheels have been doing this, in s. None if not known."""
     age_s: float | None = None
-    """Age of the newest reading, s; None if there was none."""
+    """The age of the newest reading, in s. None if there was no reading."""
     last: Literal["unknown", "still", "turning"] = "unknown"
     """What the newest reading showed, however old it is."""
     speeds_radps: Wheels | None = None
-    """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None if the board reports
-    none."""
+    """The measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`. None if the board does not
+    report speeds."""
     turned_rad: Wheels | None = None
-    """How far each wheel has turned since the first report, rad, positive forward: as the board has counted it, or
-    added up from its speeds. None if the board reports neither."""
+    """How far each wheel has turned since the first report, in rad, positive forward. The board has counted it, or it
+    was added up from the board's speeds. None if the board reports neither."""
 
 
 OLD_S = 10.0
-"""A reading that is older than this, s, says nothing about now."""
+"""A reading that is older than this, in s, says nothing about the present."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Ages:
-    """Ages of the newest readings, s; None if there was none in this run."""
+    """The ages of the newest readings, in s. An age is None if there was no such reading in this run."""
 
     board_s: float | None = None
-    """Since the board last sent anything, of any kind."""
+    """The time since the board last sent anything."""
     battery_s: float | None = None
     """Age of `State.battery_v`."""
     imu_s: float | None = None
@@ -114,57 +118,61 @@ class Ages:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """Whether the wheels turn as fast as commanded (setting board.per_rps)."""
+    """A check of the setting board.per_rps: do the wheels turn as fast as commanded?"""
 
     capped: str = ""
-    """The text, with the remedy, that speeds are capped because nobody has confirmed board.per_rps; empty if it is
-    confirmed."""
+    """While nobody has confirmed board.per_rps, speeds are capped. This text then says so, with the remedy. Empty after
+    somebody has confirmed it."""
     wheels: float | None = None
-    """Measured wheel speed divided by the commanded one, from reports in a unit of their own; None: not known."""
+    """Measured wheel speed divided by commanded wheel speed. It is known only if the board reports in a unit of its
+    own; otherwise None."""
     turn: float | None = None
-    """Measured turn rate of the robot divided by the commanded one, from the gyro; None: not known."""
+    """Measured turn rate of the robot, from the gyro, divided by the commanded one. None if not known."""
     wrong: tuple[str, ...] = ()
-    """What differs, in words, with the setting to look at."""
+    """Texts about differences that are too large. Each names the setting to check."""
     remarks: tuple[str, ...] = ()
-    """What differs by less, in words. A slope, a load, the battery or skidding wheels may explain it."""
+    """Texts about smaller differences. A slope, a load, the battery or skidding wheels can be the reason for these."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """The last stop, and its three proofs, each of which is None until it is known."""
+    """The last stop, with its three proofs: written, acknowledged and observed. Each proof is None until it is
+    known."""
 
     cause: Cause
-    """Why."""
+    """Why the robot was stopped."""
     reason: str
     """The text of `cause`."""
     t: float
-    """Unix time, s."""
+    """When it was stopped (Unix time, s)."""
     noticed_by: str
     """The process that noticed the cause."""
     written_by: str
-    """The process that wrote the stop."""
+    """The process that wrote the stop to the board."""
     written_s: float | None
-    """Written: from noticing the cause until the kernel had the bytes, s. None if they could not be written."""
+    """The first proof: how long it took from noticing the cause until the kernel had the bytes of the stop, in s. None
+    if they could not be written."""
     acknowledged_s: float | None
-    """Acknowledged: from noticing the cause until the board answered a ping written after the stop, or reported that it
-    obeys it, s."""
+    """The second proof: how long it took from noticing the cause until the board acknowledged the stop, in s. For that
+    the board answers a ping that was written after the stop, or reports that it obeys the stop."""
     observed_s: float | None
-    """Observed: from noticing the cause until the wheels were seen still, s; 0 if they were not seen moving before the
-    stop either."""
+    """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if they were
+    not seen moving before the stop either."""
     epoch: int = 0
-    """The epoch that was raised for this stop. Requests for a stop that were made in an earlier epoch are answered by
-    it too."""
+    """The epoch that this stop has raised. If somebody asked for a stop during an earlier epoch, this stop is the
+    answer too."""
     sent: bool = True
-    """False if the bytes of the stop were found to be still in the kernel, because the board takes none."""
+    """False if the bytes of the stop are still in the kernel, because the board accepts none."""
     acknowledged_by: str = "answer"
-    """How the board acknowledges: answer (to a ping), echo (of what it obeys); empty: not at all."""
+    """How this board acknowledges a stop: `answer` (to a ping), `echo` (it reports what it obeys), or empty if it never
+    does."""
     observed_by: str = "IMU"
-    """What has made `observed_s` known: IMU, or wheels (the board's own reports about them); empty if the robot has no
-    IMU."""
+    """What has observed the wheels: `wheels` (the board's own reports about them) or `IMU`. Empty if nothing can,
+    because the robot has no IMU."""
     noticed_ns: int = 0
-    """When the cause was noticed (CLOCK_MONOTONIC, ns). It does not depend on the wall clock."""
+    """When the cause was noticed (CLOCK_MONOTONIC, ns). Unlike `t`, it does not depend on the wall clock."""
     believed: bool = True
-    """False until the device that got the bytes has answered as the board does."""
+    """False until the device that got the stop has answered as the board does. Until then it may be another device."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,49 +180,56 @@ class Process:
     """One process of the service."""
 
     pid: int
-    """0 while no such process exists."""
+    """The pid; 0 while no such process exists."""
     state: str
-    """starting, running, hanging, suspended (by a signal), fenced (for hanging), dead, waiting, down, or stopping."""
+    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed
+    because it hung, but not gone yet), dead, waiting (to be started), down (it has died too often, so it is not started
+    at once), or stopping."""
     age_s: float
-    """The time since its last heartbeat, s; before its first one, since the beginning of the run."""
+    """The time since its last heartbeat, in s. Before the first heartbeat, it is the time since the beginning of the
+    run."""
     restarts: int
     """How often it was restarted in this run."""
     last_exit: str | None
-    """How the process before it died."""
+    """How the previous process of this name died. None if there was none."""
     worst_s: float
-    """The longest time between two turns of its loop since its start, s."""
+    """The longest time that one pass through its loop has taken since it was started, in s."""
     realtime: bool
     """True if it has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
     """True if its memory can't be swapped out."""
     early_news: bool = True
-    """True if the kernel tells this process about a death before it frees the memory of the dead process."""
+    """True if the kernel tells this process that another process has died before it frees the memory of the dead
+    one."""
     killed: bool = False
-    """True if a signal has killed the process before it."""
+    """True if the previous process of this name was killed by a signal."""
     starts_in_s: float | None = None
-    """After how long it will be started again, s; None if it is running, or needs a reset first."""
+    """In how many seconds it will be started again. None if it is running, or must be reset first."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Device:
-    """The board's port."""
+    """The port of the board."""
 
     path: str
-    """Path of its file, as the settings or `--device` name it."""
+    """The path of the port, as the settings or `--device` name it."""
     state: Literal["closed", "open", "lost"]
-    """closed, open, or lost (unplugged)."""
+    """closed, open, or lost (the board was unplugged)."""
     link: Literal["unproven", "alive", "deaf", "silent", "unheard", "unasked"]
-    """alive: it answers; unproven: it has not answered yet; deaf: it does not hear; silent: it says nothing any more;
-    unheard: it has not answered since a replug; unasked: it can't answer, by design."""
+    """The connection to the board. alive: the board answers. unproven: it has not answered yet. deaf: it does not hear.
+    silent: it has stopped sending anything. unheard: it has not answered since it was plugged in again. unasked: this
+    kind of board never answers."""
     watchdog_s: float = 0.0
-    """How long after the last frame the board's own watchdog acts, s; 0 if it has none, or that is not known."""
+    """How long after the last frame the board's own watchdog acts, in s. 0 if the board has no watchdog, or this is not
+    known."""
     watchdog_does: str = ""
-    """What that watchdog does: zero (it stops the wheels), coast (they roll on without current), or disarm."""
+    """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: it
+    disarms the motors. Empty if the board has no watchdog, or this is not known."""
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """For how long the board has reported that it obeys zero speed although motion is commanded, s; None if it does
-    not."""
+    """How long the board has reported that it obeys zero speed although motion is commanded, in s. None if it does not
+    report that."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -222,35 +237,35 @@ class Client:
     """A program that holds a client slot."""
 
     slot: int
-    """0 to 7."""
+    """The number of the slot, 0 to 7."""
     name: str
-    """Its name, as it reports it."""
+    """The name that the program gives itself."""
     pid: int
-    """Its pid, as it reports it."""
+    """The pid that the program gives."""
     driving: bool
-    """True if its command moves the wheels now."""
+    """True if its command moves the wheels at present."""
     sees: str = ""
-    """A line on what it sees, as it reports it (`Robot.say`)."""
+    """A line in which the program says what it sees (`Robot.say`)."""
     wrong: str = ""
-    """A line on what is wrong, as it reports it."""
+    """A line in which the program says what is wrong; empty if nothing is."""
     said_s: float | None = None
-    """When it last reported that, s ago; None: never."""
+    """How long ago the program sent these lines, in s. None if it has sent none."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A source whose last command still counts."""
+    """A source whose last command has not expired yet, or that fell silent while the wheels turned."""
 
     source: str
     """Its name in the settings, or `gamepad`."""
     priority: int
-    """The source with the highest priority drives."""
+    """Its priority. The source with the highest priority drives."""
     who: str
-    """The program that commands as this source: name and pid."""
+    """The program that commands as this source, with its name and pid."""
     state: Literal["drives", "waits", "held", "silent"]
-    """drives; waits: a source with a higher priority drives; held: it has been commanding since before motion was
-    enabled, and must send zero or pause first; silent: it drove, and stopped sending commands while the wheels
-    turned."""
+    """What the source does. drives: its command moves the wheels. waits: a source with a higher priority drives. held:
+    it has commanded since before motion was enabled, so it must first send zero or pause. silent: it stopped sending
+    commands while the wheels turned."""
 
     def __str__(self) -> str:
         """The program, and its source unless that is the one that every program has by default."""
@@ -259,11 +274,11 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The longest silence of a process in the last ten minutes for which nothing was stopped, because the machine did
-    not run the process and motion was disabled."""
+    """In the last ten minutes, the machine has not run a process of the service for some time. Nothing was stopped,
+    because motion was disabled. This is the longest such time."""
 
     longest_s: float
-    """How long the silence was, s."""
+    """How long the process was not run, in s."""
     process: str
     """The process that the machine did not run."""
 
@@ -273,60 +288,62 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """The gyro's reading while the robot stands still."""
+    """The gyro's reading while the robot is at rest, which is subtracted from its other readings."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
     tracking: bool
-    """True if the bias follows the readings now."""
+    """True if the bias is following the readings at present."""
     calibrated: bool
-    """True if the robot was at rest for long enough at the start."""
+    """True if the robot was at rest long enough at the start to measure the bias."""
 
 
 class Imu(NamedTuple):
-    """One sample of the IMU: x forward, y left, z up."""
+    """One sample of the IMU. The axes are x forward, y left, z up."""
 
     t_ns: int
-    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    """When the sample was read (CLOCK_MONOTONIC, ns)."""
     acceleration_mps2: tuple[float, ...]
-    """m/s2."""
+    """The acceleration, m/s2."""
     rate_radps: tuple[float, ...]
-    """rad/s, less the bias."""
+    """The turn rate, rad/s, without the bias."""
     rate_variance: float = records.RATE_VARIANCE
-    """Variance of each axis of the rate, (rad/s)2."""
+    """The variance of each axis of the turn rate, (rad/s)2."""
 
 
 DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, records.POSE_VARIANCE)
 
 
 class Odometry(NamedTuple):
-    """The pose since the start, and the velocity, computed from the wheels' turns if the board reports them, else from
-    the commands."""
+    """The robot's pose since the start, and its velocity. They are computed from how far the wheels have turned, if the
+    board reports that, or else from the commands."""
 
     t_ns: int
-    """The time of the pose (CLOCK_MONOTONIC, ns): that of the wheels' newest report, if it is computed from reports."""
+    """The time of the pose (CLOCK_MONOTONIC, ns). If the pose comes from the board's reports, it is the time of the
+    newest report."""
     x_m: float
-    """m, forward at the start."""
+    """How far the robot has moved in the direction that was forward at the start, m."""
     y_m: float
-    """m, to the left at the start."""
+    """How far the robot has moved in the direction that was left at the start, m."""
     th_rad: float
-    """rad counter-clockwise."""
+    """How far the robot has turned since the start, rad counter-clockwise."""
     vx_mps: float
-    """m/s forward."""
+    """Velocity forward, m/s."""
     vy_mps: float
-    """m/s to the left."""
+    """Velocity to the left, m/s."""
     wz_radps: float
-    """rad/s counter-clockwise."""
+    """Turn rate, rad/s counter-clockwise."""
     twist_std_mps: float
-    """Standard deviation of vx and vy, m/s, by the settings."""
+    """Standard deviation of vx and vy, m/s, from the settings."""
     twist_std_radps: float
-    """Standard deviation of wz, rad/s, by the settings."""
+    """Standard deviation of wz, rad/s, from the settings."""
     source: Literal["commands", "wheels"] = "commands"
-    """wheels: computed from how far the board reports that the wheels have turned. commands: computed from how far they
-    were told to turn, whatever they did, because the board has reported nothing about them."""
+    """Where the pose comes from. wheels: from how far the board says that the wheels have turned. commands: from what
+    the wheels were commanded to do, whatever they really did, because the board has reported nothing about them."""
     pose_covariance: tuple[float, ...] = DEAD_RECKONING
-    """Covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. If the pose is computed from the wheels, it
-    grows with the distance; if it is computed from commands, it is so large that nobody should trust the pose."""
+    """Covariance of x, y (m2) and th (rad2), in the order xx, xy, x th, yy, y th, th th. If the pose comes from the
+    wheels, it grows with the distance. If the pose comes from commands, it is huge, because nobody should trust such a
+    pose."""
 
     @property
     def pose_variance(self) -> float:
@@ -338,19 +355,19 @@ class Pad(NamedTuple):
     """One frame of the gamepad."""
 
     t_ns: int
-    """CLOCK_MONOTONIC of the read that brought it, ns."""
+    """When the frame was read (CLOCK_MONOTONIC, ns)."""
     buttons: int
-    """One bit per button."""
+    """The buttons that are pressed, one bit per button."""
     hat: int
     """The hat's value, as the board reports it."""
     axes: tuple[int, ...]
-    """lx, ly, rx, ry, -128 to 127."""
+    """The sticks: lx, ly, rx, ry, each from -128 to 127."""
     mode: PadMode
     """What the gamepad moves: locked (nothing), drive (the wheels) or joint (the arm)."""
 
 
 Sample = Imu | Pad | Odometry
-"""A sample of `Robot.samples`."""
+"""One sample from `Robot.samples`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -360,24 +377,24 @@ class JointState:
     servo: int
     """The id of its servo on the bus."""
     angle_rad: float | None
-    """Measured, rad; None before a reading."""
+    """The measured angle, rad. None until it was read."""
     pulses: int | None
-    """Its position in the servo's pulses."""
+    """The measured position in the servo's pulses. None until it was read."""
     age_s: float | None
-    """Since when the position was read, s."""
+    """How long ago the position was read, in s. None until it was read."""
     commanded_rad: float | None
-    """Where it was sent, rad; None while its position is not known."""
+    """The angle to which the joint was sent, rad. None while its position is not known."""
     torque: bool | None
-    """True if the torque is on; None: not known yet."""
+    """True if the torque is on, False if it is off. None if that is not known yet."""
     temperature_c: int | None
-    """Temperature of the servo, degrees Celsius."""
+    """The temperature of the servo, degrees Celsius. None if not known."""
     supply_v: float | None
-    """Supply voltage of the servo, V."""
+    """The supply voltage of the servo, V. None if not known."""
 
     @property
     def at_rad(self) -> float | None:
-        """Where the joint is as far as is known, rad: where it was sent, because no servo is asked while it moves, or
-        else where it was read to be."""
+        """Where the joint is, as far as that is known, rad. This is the angle to which it was sent, because a servo is
+        not asked for its position while it moves. If it was not sent anywhere, it is the angle that was read."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
@@ -386,47 +403,48 @@ class ArmState:
     """The state of the arm."""
 
     mode: str
-    """trajectory, follow, jog, or empty."""
+    """How the arm is being moved: trajectory, follow, jog, or empty."""
     phase: str
-    """How far a trajectory has come."""
+    """How far a trajectory has come, in words."""
     moving: bool
-    """True if it moves now."""
+    """True if the arm is moving."""
     by: str
-    """The program that moves it; empty if none does."""
+    """The program that moves the arm. Empty if none does."""
     closed: str
-    """Why the arm accepts no goal; empty if it accepts one."""
+    """Why the arm accepts no goal at present. Empty if it accepts goals."""
     refused: str
-    """Why the last goal of a stream was not accepted; empty if it was."""
+    """Why the last goal from arm.follow() or arm.jog() was refused. Empty if it was accepted."""
     released: bool
-    """True if its torque is off."""
+    """True if the arm's torque is off."""
     silent: tuple[int, ...]
-    """Servos that do not answer."""
+    """The ids of servos that do not answer."""
     wrong: tuple[str, ...]
-    """The faults of the arm, in words."""
+    """What is wrong with the arm, in words."""
     pose: str
-    """The pose that the arm is in: drive, tuck, or empty for neither."""
+    """The pose in which the arm is: drive, tuck, or empty if it is in neither."""
     auto_tuck_s: float | None
-    """After how long the arm will tuck itself, s; None if it will not."""
+    """In how many seconds the arm will move to its tuck pose by itself. None if it will not."""
     pad_joint: str | None
-    """The joint that the gamepad turns."""
+    """The joint that the gamepad turns. None if it turns none."""
     joints: dict[str, JointState]
     """The joints by name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """One consistent snapshot of the service. The gate's decision is one record, which is read whole."""
+    """One consistent snapshot of the service. All parts of the gate's decision are from the same moment."""
 
     name: str
     """Name of the service."""
     enabled: bool
     """True if motion is enabled."""
     estop: str | None
-    """The text of `cause`."""
+    """The text of `cause`. None if no stop is latched."""
     cause: Cause | None
-    """The cause of the latched stop: the first since the last reset; None if nothing is latched."""
+    """The cause of the latched stop. If several causes came since the last reset, it is the first one. None if no stop
+    is latched."""
     blocked: str | None
-    """Why the wheels may not turn, in the gate's words; None when they may. Programs compare `block`."""
+    """Why the wheels may not turn, in the gate's words. None when they may turn. In programs use `block` instead."""
     body_vel: Velocity
     """The velocity that the gate commands."""
     wheels_radps: Wheels
@@ -434,74 +452,77 @@ class State:
     epoch: int
     """A number that every stop raises."""
     waiting_for: str | None
-    """What is not ready yet; motion can't be enabled until it is."""
+    """What is not ready yet, so that motion can't be enabled. None if everything is ready."""
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
     """The processes by name."""
     starved: Starved | None
-    """None if the machine has run every process in time for ten minutes."""
+    """Set if the machine has not run a process in time during the last ten minutes. None if it has run all of them."""
     clients: tuple[Client, ...]
-    """The holders of the client slots."""
+    """The programs that hold client slots."""
     sources: tuple[Source, ...]
-    """The source that drives and those that wait, highest priority first."""
+    """The source that drives, and the sources that wait or have fallen silent. The highest priority comes first."""
     scan_age_s: float | None
-    """The time since the obstacle sensor last delivered, s; None: never."""
+    """The time since the obstacle sensor last delivered a reading, in s. None if it never has."""
     last_stop: Stop | None
-    """None if there was no stop in this run."""
+    """The last stop in this run. None if there was none."""
     imu: Imu | None
-    """None before the first sample."""
+    """The newest sample of the IMU. None if there was none yet."""
     gyro_bias: GyroBias | None
-    """None before it is known."""
+    """The bias of the gyro. None until it is known."""
     odometry: Odometry | None
-    """None before the first."""
+    """The newest odometry. None if there was none yet."""
     pad_mode: PadMode | None
-    """None: no gamepad frame yet."""
+    """What the gamepad moves. None if no frame of a gamepad was received yet."""
     battery_v: float | None
-    """V; None before the first reading, and while the board reports no battery or an impossible voltage."""
+    """The battery's voltage, V. None before the first reading, and while the board reports no battery or an impossible
+    voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
-    """Whether a charger is plugged in, judged by steps of the voltage."""
+    """plugged if a charger is plugged in, unplugged if not, else unknown. It is judged by jumps of the battery's
+    voltage."""
     age_s: float
-    """The age of the gate's record, s. The gate publishes at least every 0.08 s."""
+    """The age of the gate's record, in s. The gate publishes at least every 0.08 s."""
     speed_limit: float = 1.0
-    """The share of the settings' speeds that drivers may use (`Robot.limit_speed`)."""
+    """The share of the speeds in the settings that drivers may use (`Robot.limit_speed`)."""
     attended_by: tuple[str, ...] | None = None
-    """The operators who are present; None if none is needed (setting attend.required)."""
+    """The operators who are present. None if the robot needs no operator (setting attend.required)."""
     arm: ArmState | None = None
-    """None without an arm in the settings, and while a service starts, until its gate has reported the arm."""
+    """The state of the arm. None if the settings have no arm, and also while the service starts, until the gate has
+    reported the arm."""
     unmet: str = ""
-    """Why an interlock does not hold, in the words of its refusal; empty if all declared interlocks hold."""
+    """Why an interlock does not hold, as a text. Empty if all interlocks in the settings hold."""
     starved_times: int = 0
-    """How often in this run a silence was excused as in `starved`."""
+    """How often in this run a silence like the one in `starved` was excused."""
     lease_s: float = 0.06
-    """For how long the gate or the supervisor may be silent while the wheels turn, s (gate.lease_s; longer without
+    """How long the gate or the supervisor may be silent while the wheels turn, in s (gate.lease_s; longer without
     real-time rights)."""
     steering_rad: float | None = None
-    """Commanded angle of the steered wheels, rad, positive to the left. None if there are none, or the robot is at
+    """The commanded angle of the steered wheels, rad, positive to the left. None if the robot has no steering or is at
     rest."""
     stands_within_m: float = 0.0
-    """The stopping distance at the present speed limit: how far the robot goes after any fault that failstop can
-    detect, until it is at rest, m."""
+    """The stopping distance at the present speed limit, in m. After any fault that failstop can detect, the robot is at
+    rest within this distance."""
     scale: Scale = Scale()
     """Whether the wheels turn as fast as commanded."""
     turning: Turning = Turning()
-    """What is known about the wheels now, whatever they were told."""
+    """What is known about the wheels at present. It comes from observation, not from what was commanded."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is not. It differs after a disable and an enable,
-    however quickly one follows the other."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. It changes if motion is disabled and
+    enabled again, however quickly that happens."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
-    """The load (a share of the most that the servo gives, signed) and the temperature in degrees C of each servo, by
-    the part that it turns."""
+    """The load and the temperature in degrees C of each servo, by the part that it turns. The load is a share of the
+    servo's largest load, with a sign."""
     servos_wrong: dict[str, str] = dataclasses.field(default_factory=dict)
     """What is wrong with each servo that does not answer or reports an error, by the part that it turns."""
     ages: Ages = Ages()
-    """How old the readings are."""
+    """The ages of the newest readings."""
     battery_ns: int = 0
-    """When `battery_v` was read (CLOCK_MONOTONIC, ns); 0: never."""
+    """When `battery_v` was read (CLOCK_MONOTONIC, ns); 0 if it was never read."""
 
     @property
     def block(self) -> Block | None:
-        """Why the wheels may not turn; None when they may."""
+        """Why the wheels may not turn. None when they may turn."""
         return Block.of(self.blocked)
 
     @property
@@ -510,18 +531,20 @@ class State:
         return self.blocked is None and any(self.wheels_radps)
 
     def source_that(self, state: str) -> Source | None:
-        """The source in this state (drives, waits, held or silent) with the highest priority."""
+        """The source with the highest priority among those in this state: drives, waits, held or silent. None if no
+        source is in this state."""
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """True if a reading of this age says something about now. No reading does once the board has stopped
-        sending."""
+        """True if a reading of this age still says something about the present. If the board has stopped sending, no
+        reading does."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:
-        """The source whose command moves the wheels, or would move them; None if there is none."""
+        """The source whose command moves the wheels, or would move them if it were not zero. None if no source
+        drives."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:

@@ -33,7 +33,8 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""The units of times in records, by the end of their names: how many of them make a second."""
+"""The units of times in records. The name of such a value ends with the unit. The number says how many units make a
+second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -45,7 +46,8 @@ STANDING: dict[str, Any] = {
 }
 """The values in the gate's record while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
-"""What is read until the first gate of a run has published its record. A run begins with motion disabled."""
+"""The values that are used until the gate has published its first record in this run. A run begins with motion
+disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
     "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
@@ -62,7 +64,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
 }
-"""The records of a snapshot: which process writes each, and the function that decodes it."""
+"""The records from which a snapshot is made. Each has the process that writes it, and the function that decodes it."""
 
 PLUGGED: tuple[Any, ...] = records.PLUGGED
 WHEELS_DO: tuple[Any, ...] = records.WHEELS_DO
@@ -84,11 +86,12 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
 
 
 SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
-"""The types of samples, by the kind of the board's report. Other reports appear only in State."""
+"""The kinds of the board's reports that become samples, each with the function that makes the sample. Other reports
+appear only in State."""
 
 
 class StateReader(SeenRun):
-    """Reads snapshots of one run of a service. It only reads, and needs no client slot."""
+    """Reads snapshots of one run of a service. It only reads, so it needs no client slot."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
@@ -103,17 +106,17 @@ class StateReader(SeenRun):
         self._sampled: Odometry | None = None
 
     def _value(self, record: str) -> Any:
-        """The newest value of one of RECORDS; None before the first value."""
+        """The newest value of a record in RECORDS. None if it has no value yet."""
         entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _timed(self, record: str, make: Callable[..., T]) -> T | None:
-        """The newest value of a record with its time, converted to its type."""
+        """The newest value of a record with its time, converted by `make`. None if it has no value yet."""
         entry = self._latest[record].read()
         return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
     def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its full key. Raises FailstopError."""
+        """Every setting with which the service was started, by its full key. Raises FailstopError."""
         found: dict[str, float | str] = self.run_record("settings")[1]
         return found
 
@@ -122,7 +125,7 @@ class StateReader(SeenRun):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call, in order, and the newest odometry if it is new."""
+        """The board's reports since the last call, in order, and the newest odometry if it has changed."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -148,8 +151,8 @@ class StateReader(SeenRun):
 
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
-        """For each wheel: the place of its speed in the gate's record, and the factor that converts it to forward
-        rad/s."""
+        """For each wheel, the index of its speed in the gate's record, and the factor that converts this speed to
+        rad/s, positive forward."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     @cached_property
@@ -159,7 +162,7 @@ class StateReader(SeenRun):
         return chassis_of(self._declared)
 
     def of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> snapshot.Velocity:
-        """The velocity of the base at these wheel speeds. Raises ValueError for another number of wheels, or for an
+        """The velocity of the base at these wheel speeds. Raises ValueError for a wrong number of wheels, or for an
         angle on a base without steering; FailstopError."""
         from failstop.policy.kinematics import of_wheels
 
@@ -170,19 +173,19 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """The commanded angle of the steered wheels, which is the last of the gate's values. None at rest, because a 0
-        means nothing then, and on a base without steering."""
+        """The commanded angle of the steered wheels, which is the last of the gate's speeds. None on a base without
+        steering, and at rest, because the angle means nothing then."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """The record that stands for the gate's own until this run's first gate has published one."""
+        """The values that are used in place of the gate's record until the first gate of this run has published one."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
     def read(self) -> State:
-        """A snapshot now. Raises FailstopError."""
+        """Read the state at this moment. Raises FailstopError."""
         decided, cause, epoch, told_ns, dead = self.decided()
         _, known = self.run_record("processes")
         now_ns = time.monotonic_ns()
@@ -232,7 +235,7 @@ class StateReader(SeenRun):
         )
 
     def _ages(self, now_ns: int) -> tuple[snapshot.Ages, int]:
-        """The ages of the readings, and when the battery was read."""
+        """The ages of the newest readings, and when the battery was read."""
         read_ns = {}
         for record in ("battery", "imu", "odometry", "health"):
             entry = self._latest[record].read()
@@ -255,13 +258,14 @@ class StateReader(SeenRun):
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
-        """The part of read() that a driving program needs each time: the gate's state, the latch, the epoch, when the
-        gate published its state, and True if the supervisor is dead. Until the first gate of a run has published
-        anything, motion counts as disabled since the start of the run. Raises FailstopError.
+        """Read the part of the state that a driving program needs each time. Returns the gate's decision; the cause of
+        the latched stop, or None; the epoch; when the gate published its decision; and True if the supervisor is dead.
+        Until the gate has published its first decision, motion counts as disabled since the start of the run. Raises
+        FailstopError.
 
-        A stop is also in force if the gate has not followed it yet, because it hangs or has just died: the port owner
-        admits nothing from an older epoch, and the next gate starts with the latch. The same is true if the gate still
-        publishes what it knew before the supervisor died or fell silent.
+        A stop counts even if the gate has not followed it yet, because the gate hangs or has just died. The port owner
+        accepts no frames from an older epoch, and the next gate starts with the latched stop. The same is true if the
+        supervisor has died or fallen silent, and the gate still publishes its last decision.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
@@ -289,7 +293,7 @@ class StateReader(SeenRun):
         return tuple(snapshot.Client(**client, **said.get(client["slot"], {})) for client in clients)
 
     def _device(self) -> snapshot.Device:
-        # A run begins with an open port, which its supervisor has; later the port owner reports it.
+        # When a run begins, the supervisor has opened the port. Later the port owner reports the port's state.
         *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
         found: Any = records.PORT_STATES[state]
         since_ns = self._unheeded.get()
@@ -298,19 +302,20 @@ class StateReader(SeenRun):
 
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
-        """After what time the board's own watchdog acts, what it does, and whether there is an IMU. For your own board
-        the watchdog is not known, because no client runs its code."""
+        """After how many seconds the board's own watchdog acts, what it does, and True if there is an IMU. For your own
+        board the watchdog is not known, because a client does not run the code that describes the board."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """The processes of the table. `dead`: the supervisor, which keeps the table, has died, and two of the other
-        processes die with it."""
+        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. It can't update
+        its table then, and two of the other processes die with it."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
             beat = self._beats[name]
-            # A process that has not started yet has no beat, and 0 would be as long ago as the machine's start.
+            # Before the first heartbeat, count from the beginning of the run. Otherwise the age would be that of the
+            # computer.
             age_s = (beat.age_ns(now_ns) if beat.ns.get() else max(0, now_ns - self.began_ns)) / 1e9
             state = row.get("state") or heartbeat.STATES[beat.state.get()]
             if dead:
@@ -332,13 +337,13 @@ class StateReader(SeenRun):
         return found
 
     def _is_suspended(self, pid: int) -> bool:
-        """True if a signal has suspended the process, as Ctrl-Z in its terminal does."""
+        """True if the process is suspended by a signal, for example by Ctrl-Z in its terminal."""
         with contextlib.suppress(OSError):
             return self.shares_pids() and state_of(pid) in ("T", "t")
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """What telemetry knows about the wheels. A reading that is too old says nothing about now."""
+        """What telemetry knows about the wheels. A reading that is too old is left out."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -364,7 +369,7 @@ class StateReader(SeenRun):
         return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
-        """Converts turns by wire id to radians by wheel; None if a wheel is not reported."""
+        """Convert values in turns by wire id to rad by wheel, positive forward. None if a wheel is not reported."""
         if not values or any(value != value for value in values):  # NaN
             return None
         return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
@@ -377,7 +382,8 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """An object with the fields of a record and the known ones. Times are converted to s."""
+    """Make an object from a record whose values have the same names as the object's fields. `known` has more values.
+    Times are converted to s."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:
@@ -388,7 +394,7 @@ def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
 
 
 def _left_s(at_ns: int, now_ns: int) -> float | None:
-    """How many seconds are left until then; None if the record has a 0, which means never."""
+    """How many seconds are left until `at_ns`. None if it is 0, because then the time never comes."""
     return max(0, at_ns - now_ns) / 1e9 if at_ns else None
 
 

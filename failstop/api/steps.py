@@ -1,4 +1,5 @@
-"""Steps: what a person must do, in order, until the wheels move. Terminals and the page use the same table. Pure."""
+"""Steps: what a person must do, in order, until the wheels can move. The terminal and the web page use the same table.
+Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from failstop.policy.settings import PAD_SOURCE
 
 
 class Purpose(Enum):
-    """The purpose of a step."""
+    """What a step is good for."""
 
     HEED = "see to the cause of the stop"
     POWER = "make sure that the wheels stand"
@@ -27,11 +28,11 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""For each request, the steps without which the service refuses it."""
+"""For a reset and for an enable, the kinds of steps that must come first. Otherwise the service refuses the request."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"
-"""What helps if a program repeats a speed that it has commanded since its start."""
+"""This helps if a program has commanded the same velocity since it was started, and never pauses."""
 LET_GO = "let go of the stick, then push it again"
 SENSOR = (
     "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
@@ -40,42 +41,42 @@ SENSOR = (
 
 
 class Step(NamedTuple):
-    """One step in words."""
+    """One step for a person, in words."""
 
     purpose: Purpose
     typed: str
     """The text for a terminal, with commands in backquotes."""
     clause: str | None = None
-    """The text for the page, with its buttons; empty if the page shows nothing; None: the same text as in a
-    terminal."""
+    """The text for the web page, which names the page's buttons. Empty if the page shows nothing. None if it is the
+    same text as for the terminal."""
 
     @property
     def pressed(self) -> str:
-        """The step as a sentence for the page."""
+        """The step as a sentence for the web page. Empty if the page shows nothing."""
         return words.sentence(self.clause) if self.clause else ""
 
 
 NO_SERVICE = Step(
     Purpose.MEND, "start the service", "if the wheels turn: turn the robot's power switch off. Then start the service"
 )
-"""The step when no service is running, so that no state describes the robot."""
+"""The step if no service is running. There is no state then from which steps could be found."""
 YOUR_PROGRAM = "start your driving program"
 HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE", "drive": YOUR_PROGRAM}
-"""How a person does it on the page of a paired device, with its buttons."""
+"""The texts for the web page of a paired device, which has buttons for these steps."""
 BY_STICK = {**HERE, "drive": "hold the stick to drive"}
-"""How a person does it on a paired device that has the stick."""
+"""The texts for the web page of a paired device that also shows the stick to drive."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
     "enable": "enable motion with a paired device or failstop enable,",
     "drive": YOUR_PROGRAM,
 }
-"""How everyone else gets it done, because their page has no such buttons."""
+"""The texts for a web page without these buttons."""
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """The texts, for a terminal and for the page, that say to wait while the gate is down. The supervisor starts the
-    gate again by itself, because resets go through it."""
+    """Two texts, for the terminal and for the page, that say to wait while the gate is down. A person need not start
+    the gate, because the supervisor does it after a pause."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
@@ -83,9 +84,9 @@ def _for_the_gate(state: State) -> tuple[str, str]:
 
 
 def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
-    """The steps, each with the condition under which it is needed. The rows of one group exclude each other: the first
-    one whose condition holds counts. `known`: the reader already knows about the interlock; `how`: HERE, BY_STICK or
-    ELSEWHERE."""
+    """All possible steps, each with the condition under which it is needed. In each group, only the first step whose
+    condition holds is used. `known`: True if the reader already knows which interlock does not hold. `how`: the texts
+    for the page, HERE, BY_STICK or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -146,7 +147,8 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
 
 
 def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) -> list[Step]:
-    """All steps, in order; none while the wheels move. `known`: the reader already knows about the interlock."""
+    """The steps that are needed, in order. Empty while the wheels move. `known`: True if the reader already knows which
+    interlock does not hold. `how`: the texts for the page."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, known, how)]
@@ -157,17 +159,17 @@ def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) ->
 
 
 def typed(state: State, *, known: bool = False) -> list[str]:
-    """The steps for a terminal, in short form, without the remedy for the cause of a stop."""
+    """The steps as short texts for a terminal. The remedy for the cause of a stop is left out."""
     return [step.typed for step in todo(state, known=known) if step.purpose is not Purpose.HEED]
 
 
 def line(state: State) -> str:
-    """The short steps in one line."""
+    """The steps as short texts for a terminal, in one line."""
     return ", then ".join(typed(state))
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
-    """The first step on the page; empty if there is none."""
+    """The first step, as a sentence for the web page. Empty if there is none."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state) and not sure:
@@ -176,12 +178,12 @@ def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
 
 
 def before(state: State, goal: Purpose) -> list[Step]:
-    """The steps without which the service refuses a reset or an enable."""
+    """The steps that must come before a reset or an enable, because otherwise the service refuses it."""
     return [step for step in todo(state) if step.purpose in REFUSED_WITHOUT[goal]]
 
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
-    """The next step after a refused reset or enable, in one line; empty if nothing in the state stands in the way, so
-    that the text never asks for the same request again. `known`: the interlock was the reason, so the reader already
-    knows about it."""
+    """The next steps after a reset or an enable was refused, in one line. Empty if the state shows no reason for a
+    refusal, because otherwise the text would ask for the same request again. `known`: True if an interlock was the
+    reason, so the reader knows about it."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

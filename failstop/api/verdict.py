@@ -1,5 +1,5 @@
-"""Verdict: says in one word what the wheels do, why they are stopped, and what the events of a run add to its state.
-Pure; events are given oldest first."""
+"""Verdict: says in a word or a line what the wheels do, and why they are stopped. It uses the state and the events of a
+run. Pure; events are given oldest first."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ from failstop.policy import causes, proofs
 COMMANDED = "COMMANDED TO DRIVE"
 """Shown instead of DRIVING while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
-"""The word when no service is running."""
+"""Shown when no service is running."""
 NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
-"""What each state of the link proves, in words."""
+"""A text for each state of the connection to the board."""
 UNHEEDED_S = 0.5
-"""If a board reports zero speed for this long, s, while motion is commanded, it does not obey. Its reports come at
-least every 100 ms, and an adapter may hold a command back."""
+"""If the board reports zero speed for this long, in s, although motion is commanded, it does not obey. A shorter time
+proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
 STALE_S = 0.5
-"""A decision of the gate that is older than this, s, says nothing about the wheels, because the gate publishes every 80
-ms."""
+"""If the gate's last decision is older than this, in s, it says nothing about the wheels. The gate normally publishes
+every 80 ms."""
 LATE_BEAT_S = 0.3
-"""A beat that is older than this, s, is highlighted. The slowest process beats every 100 ms."""
+"""A heartbeat that is older than this, in s, is highlighted. The slowest process has one every 100 ms."""
 BATTERY_LOW_V = 10.5
-"""Three lithium cells at 3.5 V each, which are almost empty."""
+"""Below this voltage the battery is almost empty. It is for three lithium cells with 3.5 V each."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
-"""Kinds of events that change whether motion is, or may be, enabled."""
+"""The kinds of events after which motion may be enabled or disabled, or may be allowed again."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
-"""Kinds of events about a driver that stopped driving while the wheels turned."""
+"""The kinds of events about a driver that stopped driving while the wheels turned."""
 UNLATCHED = LEFT_OFF | {"disabled"}
-"""Kinds of events about wheels that were stopped although no stop was latched."""
+"""The kinds of events about wheels that were stopped without a latched stop."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
 def unreached(state: State) -> str:
-    """Why bytes may not reach the board; empty if there is no reason to think so."""
+    """Why bytes may not reach the board. Empty if there is no reason to think so."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
@@ -69,16 +69,16 @@ def unreached(state: State) -> str:
 
 
 def link(state: State) -> str:
-    """What the board's answers prove, as a clause. While the port is not open they prove nothing, and the state of the
-    link is about the next port."""
+    """What the board's answers prove, as a clause. If the port is not open they prove nothing, so the clause is about
+    the port."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}"
     return LINKS[state.device.link]
 
 
 def reached(state: State) -> str:
-    """How it is known that the latched stop has reached the wheels, as a clause; empty if it is not known, or there is
-    reason to doubt it."""
+    """How it is known that the latched stop has reached the wheels, as a clause. Empty if it is not known, or if there
+    is a reason to doubt it."""
     stop = state.last_stop
     if state.cause is None or doubt(state):
         return ""
@@ -89,26 +89,27 @@ def reached(state: State) -> str:
 
 
 def row(state: State) -> wheels.Row:
-    """What may be said about the wheels."""
+    """What the screens may say about the wheels."""
     return wheels.row(state, unreached(state))
 
 
 def doubt(state: State) -> str:
-    """Why the wheels turn, or may turn, although they were told to stop; empty if there is no reason to think so."""
+    """Why the wheels turn, or may turn, although they were commanded to stop. Empty if there is no reason to think
+    so."""
     found = row(state)
     return ", and ".join(filter(None, (found.text, unreached(state)))) if found.alarm else ""
 
 
 def unseen(state: State) -> str:
-    """What the word does not say about the wheels: that they still turn, or that nothing shows what they do. Empty if
-    the word says everything, and if doubt() does."""
+    """A text that must be added to the word about the wheels, because they still turn, or nothing shows what they do.
+    Empty if the word is enough, or if doubt() has a text."""
     found = row(state)
     return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
-    """Why nothing proves that the wheels do what is shown; empty if the board's answers prove it. It is also empty if
-    doubt() says more, and for a board that can't answer."""
+    """Why the word about the wheels is not proven. Empty if the board's answers prove it. Also empty if doubt() has a
+    text, or if this kind of board can't answer."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -116,8 +117,8 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """For how long the board has reported zero speed although motion is commanded, as a text; empty if it has not, or
-    not for long enough to be sure."""
+    """A text that says how long the board has reported zero speed although motion is commanded. Empty if it has not, or
+    not long enough to be sure."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
@@ -125,21 +126,21 @@ def unheeded(state: State) -> str:
 
 
 def word(state: State) -> str:
-    """One word about the wheels."""
+    """One word about the wheels, such as STOPPED."""
     found = row(state).word
     return STANDING if found == STOPPED and not state.blocked else found
 
 
 def proven_word(state: State) -> str:
-    """The word about the wheels. If nothing proves it, it says so."""
+    """The word about the wheels. If it is not proven, the text says so."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State) -> str:
-    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move, and about
-    a stop it says no more than is proved."""
+    """The word for a screen that people read from a distance. It says above all if the robot may begin to move. About a
+    stop it says only what is proven."""
     found = row(state)
     if found.alarm:
         return found.large
@@ -148,8 +149,8 @@ def large_word(state: State) -> str:
 
 
 def _stopped(state: State, seen: str) -> str:
-    """What is proved about the last stop. Bytes that are still in the kernel prove nothing about the board, and an IMU
-    that felt nothing proves nothing about the wheels."""
+    """The large word about the last stop, which says only what is proven. Bytes that are still in the kernel prove
+    nothing about the board. An IMU that felt no motion proves nothing about the wheels."""
     stop = state.last_stop
     if stop is None:
         return WHEELS_MAY_TURN if state.cause else seen
@@ -160,13 +161,14 @@ def _stopped(state: State, seen: str) -> str:
 
 
 def unanswered(state: State) -> bool:
-    """True while a stop may not have reached the board, or was written to a board that has never answered."""
+    """True while a stop may not have reached the board. Also true if it was written to a board that has never
+    answered."""
     word = large_word(state)
     return word == WHEELS_MAY_TURN or (word == WRITTEN and state.device.link == "unproven")
 
 
 def headline(state: State) -> str:
-    """One line about the wheels, and why."""
+    """One line about what the wheels do, or why they are stopped."""
     if state.cause:
         return f"stop latched: {state.cause}"
     if state.block:
@@ -176,13 +178,13 @@ def headline(state: State) -> str:
 
 
 def down(state: State) -> list[str]:
-    """The processes that have died too often and stay down."""
+    """The names of processes that have died too often, so that they are not restarted at once."""
     return [name for name, process in state.processes.items() if process.state == "down"]
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """Why a process does not work, and until when, as the end of a sentence. `ended`: how the process before it ended,
-    as a clause."""
+    """Why a process does not work, and until when, as the end of a sentence. `ended`: a clause about how the previous
+    process of this name ended."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -191,7 +193,7 @@ def absence(process: Process, ended: str = "") -> str:
 
 
 def no_answer(state: State) -> str:
-    """Why the gate answers no request, with the remedy. Empty while the gate is running, because the state then shows
+    """Why the gate answers no requests, with the remedy. Empty while the gate is running, because then the state shows
     no reason."""
     gate = state.processes[GATE]
     if gate.state == "running":
@@ -202,25 +204,27 @@ def no_answer(state: State) -> str:
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
-    """The last event of one of these kinds."""
+    """The newest event of one of these kinds. None if there is none."""
     return next((event for event in reversed(events) if event.kind in kinds), None)
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
-    """The event about the driver that stopped driving while the wheels turned, unless a later event is about motion."""
+    """The event about a driver that stopped driving while the wheels turned. None if there is none, or if a later event
+    has changed the motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
 
 def death(state: State, events: Sequence[Event]) -> Event | None:
-    """The event about the driver's death for which motion is disabled, unless something has changed that since."""
+    """The event about the death of the driver because of which motion is disabled. None if motion is disabled for
+    another reason."""
     last = newest(events, CHANGES)
     return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """For each process, how the process before it ended, as a clause. If the supervisor killed it for a hang, its exit
-    status alone does not say that."""
+    """For each process, a clause about how the previous process of its name ended. If the supervisor killed a process
+    because it hung, the clause says so. The exit status alone would not show that."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}
@@ -233,7 +237,6 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """How the run before this one ended, if it did not end cleanly, with the command that shows its story; else
-    empty."""
+    """How the run before this one ended, with the command that shows more. Empty if it ended cleanly."""
     told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
     return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

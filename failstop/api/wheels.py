@@ -1,6 +1,7 @@
-"""Wheels: what a screen may say about them, by one table of what they are told and what is observed. Pure.
-`State.turning` is the only source for what the wheels do. The cause of a latched stop says why the robot was stopped,
-but nothing about its wheels, which may turn again hours after they were seen still.
+"""Wheels: decides what a screen may say about the wheels, from what is commanded and what is observed. Pure.
+
+`State.turning` is the only source for what the wheels really do. The cause of a latched stop says nothing about that,
+because wheels that were seen still after a stop may turn again hours later.
 """
 
 from __future__ import annotations
@@ -18,31 +19,31 @@ if TYPE_CHECKING:
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"
-"""Motion is enabled, zero is commanded, and nothing is seen to move."""
+"""Motion is enabled, zero is commanded, and nothing moves as far as is known."""
 STOPPED = "STOPPED"
-"""The wheels are told zero and are seen still."""
+"""Zero is commanded, and the wheels are seen to be still."""
 STOPPING = "STOPPING"
-"""The wheels are told zero and still move, but no longer than the setting still.after_s allows."""
+"""Zero is commanded, and the wheels still move, but not longer than the setting still.after_s allows."""
 TOLD_TO_STOP = "TOLD TO STOP"
-"""The wheels are told zero, and nothing shows whether they obey."""
+"""Zero is commanded, and nothing shows if the wheels obey."""
 TURNING = "TURNING"
-"""The board reports that the wheels turn although they are told to stop."""
+"""Zero is commanded, but the board reports that the wheels turn."""
 MOVED = "MOVED"
-"""The IMU feels the robot move although its wheels are told to stop: it moves by itself, or somebody moves it."""
+"""Zero is commanded, but the IMU feels that the robot moves. It moves by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
 """A stop may not have reached the wheels, so nobody must rely on it."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
-"""Large words, in addition to STOPPED, STOPPING and TOLD TO STOP."""
+"""More words for a screen that people read from a distance. STOPPED, STOPPING and TOLD TO STOP are used there too."""
 
 
 class Commanded(enum.Enum):
-    """What the wheels are told."""
+    """What the wheels are commanded to do."""
 
     ZERO = "zero"
     MOTION = "motion"
     NOBODY_KNOWS = "nobody knows"
-    """Bytes for the board may not reach it."""
+    """Commands may not reach the board, so nobody knows what it does."""
 
 
 class Seen(enum.Enum):
@@ -59,17 +60,17 @@ class Seen(enum.Enum):
 
 
 class Row(NamedTuple):
-    """What may be said."""
+    """What a screen may say about the wheels."""
 
     word: str
     large: str
-    """For a screen read at arm's length."""
+    """The word for a screen that people read from a distance."""
     text: str = ""
-    """A clause that a screen adds to the word; empty if the word says it all."""
+    """A clause that a screen adds to the word. Empty if the word is enough."""
     alarm: bool = False
-    """The wheels turn, or may turn, although nobody wants that."""
+    """True if the wheels turn, or may turn, although nobody wants that."""
     unless: str = ""
-    """What else may turn them, for the advice to use the power switch."""
+    """What else could turn the wheels, such as a person. It is used in the advice to use the power switch."""
 
 
 _UNKNOWN = "the wheels are told to stop, but nothing shows what they do now"
@@ -93,8 +94,8 @@ TABLE: dict[tuple[Commanded, Seen], Row] = {
     (Commanded.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
     (Commanded.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
 }
-"""What may be said for each pair. A board that reports nothing, on a robot without an IMU, is no alarm: it is UNSEEN,
-and the screens say that."""
+"""What a screen may say for each combination of command and observation. If nothing can report what the wheels do,
+because the board reports nothing and the robot has no IMU, that is no alarm. It is UNSEEN, and the screens say so."""
 
 SEEN = {
     Seen.TURN: "the wheels turn",
@@ -106,13 +107,13 @@ SEEN = {
     Seen.UNREAD: "not known",
     Seen.UNSEEN: "not known: nothing reports what the wheels do",
 }
-"""Each observation in words."""
+"""A text for each observation."""
 SAYS = {"wheels": "by the board's reports", "IMU": "by the IMU"}
-"""The observer in words, by `Turning.by`."""
+"""A text for the observer that `Turning.by` names."""
 
 
 def seen(state: State) -> Seen:
-    """What is observed about the wheels."""
+    """What is observed about the wheels at present."""
     known = state.turning
     if known.does == "still":
         return Seen.STILL
@@ -126,23 +127,24 @@ def seen(state: State) -> Seen:
 
 
 def commanded(state: State, unreached: str) -> Commanded:
-    """What the wheels are told. `unreached`: why bytes may not reach the board; empty if they do."""
+    """What the wheels are commanded to do. `unreached`: why bytes may not reach the board; empty if they do."""
     if unreached:
         return Commanded.NOBODY_KNOWS
     return Commanded.MOTION if state.moving else Commanded.ZERO
 
 
 def row(state: State, unreached: str) -> Row:
-    """What may be said about the wheels; `unreached`: why bytes may not reach the board; empty if they do."""
+    """What a screen may say about the wheels. `unreached`: why bytes may not reach the board; empty if they do."""
     return TABLE[commanded(state, unreached), seen(state)]
 
 
 def now(state: State) -> str:
-    """What is observed, with the speeds that the board reports, the observer, and the age of the reading."""
+    """A text about what is observed: what the wheels do, their speeds if the board reports these, who observes it, and
+    how old the reading is."""
     known, found = state.turning, seen(state)
     text = SEEN[found]
     if found is Seen.STILL and known.by == "IMU":
-        # The IMU feels neither wheels that turn in the air nor a robot that goes slowly.
+        # An IMU can't feel wheels that turn in the air, or a robot that drives slowly.
         return f"the IMU feels no movement ({words.span(known.age_s or 0.0)} ago)"
     if found in (Seen.TURN, Seen.TURN_ON, Seen.TURNED) and (how := speeds(state)):
         text += f": {how}"
@@ -156,7 +158,8 @@ def now(state: State) -> str:
 
 
 def speeds(state: State) -> str:
-    """The measured speed of each wheel in turns per second, positive forward; empty if the board reports none."""
+    """The measured speed of each wheel in turns per second, positive forward, as text. Empty if the board reports no
+    speeds."""
     measured = state.turning.speeds_radps
     if measured is None:
         return ""

@@ -1,4 +1,4 @@
-"""Why: says in three lines why the wheels are stopped, what proves it, and what to do. Pure."""
+"""Why: explains in three lines why the wheels are stopped, what proves it, and what to do. Pure."""
 
 from __future__ import annotations
 
@@ -24,30 +24,31 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""After this time, s, nothing more is learned about a stop."""
+"""This long after a stop, in s, nothing more can be learned about it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Why:
-    """The answer to "why are the wheels stopped?"; `str` of it is the three lines."""
+    """The answer to "why are the wheels stopped?". str() of it has the three lines."""
 
     what: str
-    """Why the wheels are stopped, and since when; or, while they move, which program drives."""
+    """Why the wheels are stopped, and since when. While they move, it says which program drives."""
     proof: str
-    """The proof that they are stopped: what was written, acknowledged and observed for the stop that `what` is about
-    (only latched stops are timed), and what is observed now, with the age of the reading."""
+    """The proof that the wheels are stopped. First comes what was written, acknowledged and observed for the stop that
+    `what` is about (only latched stops are timed). Then comes what is observed at present, with the age of the
+    reading."""
     do: tuple[str, ...]
-    """Steps to take, in order, with commands in backquotes; empty while the wheels move."""
+    """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
     also: tuple[str, ...]
     """Other faults."""
     since: float | None
-    """Since when this is so (Unix time, s); None if not known."""
+    """When the wheels were stopped (Unix time, s). None if not known."""
 
     def __str__(self) -> str:
         return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines with their labels; one `also` line for each other fault."""
+        """The lines, each with its label. Each other fault has an `also` line of its own."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
 
@@ -68,15 +69,16 @@ HOLDS = {
         "Motion is enabled, but the obstacle sensor is silent.",
     ),
 }
-"""Each block in words: for a terminal, and as a sentence for the page."""
+"""Two texts for each block: one for a terminal, and a sentence for the web page."""
 SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
-"""The reason for each block in words that continue with the time when it began."""
+"""The texts that are used for these blocks if it is known when they began. The time follows."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""Blocks in which the wheels wait for a client, so that the client's report may say why."""
+"""Blocks in which the wheels wait for a client. What the client reports may say why."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
-    """The whole answer. `events`: those of this run, the oldest first. Without them less is known."""
+    """Make the whole answer. `events`: the events of this run, the oldest first. With fewer events, the answer says
+    less."""
     start, began = since(state, events, now_s)
     what = _holds(state) if state.block else _free(state)
     if state.block and start is not None:
@@ -101,7 +103,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
 
 
 def _holds(state: State) -> str:
-    """Why the wheels are stopped."""
+    """A text about why the wheels are stopped."""
     if state.block is Block.HELD and (source := state.source_that("held")):
         return f"{source.who} commanded before motion was enabled, so it must send zero or pause before it can drive"
     if state.block is Block.NO_COMMAND and (source := state.source_that("silent")):
@@ -110,8 +112,8 @@ def _holds(state: State) -> str:
 
 
 def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
-    """What has happened, and what to check before a reset, as two plain texts that continue a sentence. `reached`: how
-    it is known that the stop has reached the wheels (`verdict.reached`)."""
+    """What has happened, and what to check before a reset. Both are plain texts that continue a sentence. `reached`:
+    how it is known that the stop has reached the wheels (`verdict.reached`)."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
@@ -122,7 +124,7 @@ def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
 
 
 def _buttons(pressed: int) -> str:
-    """The names of the buttons that were pressed; a bit without a name is shown as a number."""
+    """The names of the buttons that were pressed. A button without a name is shown as a number."""
     names = [name for name, bit in BUTTONS.items() if pressed & bit]
     names += [f"0x{1 << bit:04X}" for bit in range(16) if pressed & 1 << bit and 1 << bit not in BUTTONS.values()]
     return " and ".join(names)
@@ -139,7 +141,7 @@ def _free(state: State) -> str:
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
-    """Since when this block has been in force, as far as is known, and what began it."""
+    """When the present block began (Unix time, s), or None if that is not known, and a text about what began it."""
     stop = state.last_stop
     if state.cause:
         begun = stop.t if stop and stop.cause == state.cause else None
@@ -154,7 +156,7 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
             return change.t, "nobody has enabled motion since the service was started"
         return (change.t, change.what.removeprefix("motion disabled: ")) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
-        # It may have driven since then, because not every start is reported.
+        # The time is not returned, because the program may have driven since, and not every start is reported.
         return None, f"{event.text} ({words.ago(event.t, now_s)})"
     return None, ""
 
@@ -163,8 +165,8 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """The proof of the stop for which the wheels are stopped. If motion was disabled without a latched stop, and while
-    motion is commanded: only that the board answers, because the times of an earlier stop prove nothing about now."""
+    """A text about the proof of the stop because of which the wheels are stopped. If no latched stop is the reason, it
+    says only what the board's answers prove, because the times of an earlier stop prove nothing about the present."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -179,8 +181,8 @@ def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
 
 
 def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
-    """Whether this stop is why the wheels are stopped: it is latched, or nothing has enabled or disabled motion since
-    it."""
+    """True if this stop is the reason why the wheels are stopped. That is so if it is latched, or if nothing has
+    enabled or disabled motion since."""
     if state.block is not Block.DISABLED:
         return stop.cause == state.cause
     change = verdict.newest(events, verdict.CHANGES)
@@ -188,9 +190,9 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """The three proofs of a stop in words, each with True or False. None: there was nothing to observe, because the
-    wheels were not moving before the stop either, or because this board acknowledges nothing. For a stop that was not
-    written, only that is returned. `link`: the state of the link."""
+    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that nothing could
+    be observed: the wheels were not moving before the stop either, or this board never acknowledges a stop. If the stop
+    was not written, the list says only that. `link`: the state of the connection to the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -217,8 +219,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Other faults that keep the wheels from moving, or may do so. They include what clients report as wrong, and, if
-    the wheels wait for a client, what that client sees."""
+    """Texts about other faults that keep the wheels from moving, or may do so. They include what clients report as
+    wrong. If the wheels wait for a client, they also include what that client sees."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
@@ -238,7 +240,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     if state.arm:
         found += [f"the arm: {text}" for text in state.arm.wrong]
     for who, sees, wrong in words.said(state):
-        # Not "says": the guard reports about a driver under the name of the driver.
+        # Not "says", because the guard reports about a driver under the driver's name.
         if wrong:
             found.append(f"{who}: {wrong}")
         elif state.block in WAITS:

@@ -1,4 +1,4 @@
-"""Words: puts times, ages, velocities and other programs' texts into a form for people."""
+"""Words: turns times, ages, velocities and texts of other programs into texts for people."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from math import degrees, isfinite
 from failstop.files.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # the incident saver, which starts just after a stop, imports this module too
+if TYPE_CHECKING:  # the incident saver imports this module too, and must start fast
     from failstop.api.snapshot import State
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
-"""Two clocks of one machine drift apart by at most this share of the time, as long as nobody sets one of them."""
+"""Unless somebody sets one of them, two clocks of a computer drift apart by at most this share of the time."""
 GUARDED = "uses the guard port "
-"""How the guard's report about a driver begins; the path of the port follows."""
+"""The guard's report about a driver begins with this text. The path of the port follows."""
 NOWHERE_MPS = 0.0005
-"""A speed below this is shown as standing, because it would be rounded to 0."""
+"""A speed below this is shown as zero, because rounding would give 0."""
 
 
 def span(seconds: float) -> str:
-    """A length of time as a text: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
+    """A length of time as a text, for example 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
     if not isfinite(seconds):
         return f"{seconds:g} s"
     if seconds < 9.95:
@@ -46,46 +46,47 @@ def printable(text: str) -> str:
 
 
 def clock_jump(wall_s: float, monotonic_s: float) -> float:
-    """How far the wall clock jumped while these times passed on it and on the monotonic clock, s; negative: backward;
-    0: not more than the clocks drift apart."""
+    """How far the wall clock has jumped, in s; negative if backward. The two times are how long the same interval was
+    on the wall clock and on the monotonic clock. Returns 0 if they differ only as much as clocks drift apart."""
     jumped_s = wall_s - monotonic_s
     return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
 
 
 def jumped(seconds: float) -> str:
-    """A jump of the wall clock in words. A jump forward may mean that the machine slept, because the monotonic clock
-    does not count that."""
+    """A text about a jump of the wall clock. If the clock jumped forward, the computer may have slept, because the
+    monotonic clock does not count while it sleeps."""
     if seconds < 0:
         return f"the clock was set back by {span(-seconds)}"
     return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"
 
 
 def clock(unix_s: float, now_s: float = 0.0) -> str:
-    """Local time of day, with the date if it is more than half a day from now or no `now_s` is given."""
+    """The local time of day. The date is added if the time is more than half a day from `now_s`, or if `now_s` is not
+    given."""
     form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
     return time.strftime(form, time.localtime(unix_s))
 
 
 def ago(unix_s: float, now_s: float) -> str:
-    """A time as text, for example `14:03:22, 12 s ago`. A stamp from the future, from a clock that was set back, is
-    shown as just a time."""
+    """A time as text, for example `14:03:22, 12 s ago`. If the time is in the future, because the clock was set back,
+    only the time of day is shown."""
     seconds = now_s - unix_s
     return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
 
 
 AGED_S = 3.0
-"""A reading of this age, s, or more is shown with its age, because some boards report their battery only once per
-second."""
+"""A reading that is at least this old, in s, is shown with its age. Younger readings are not, because some boards
+report their battery only once per second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """The age of a reading as text to put after it, for example `, 12 s ago`; empty if the reading is fresh. `current`:
-    the board still sends reports."""
+    """The age of a reading as text to put after it, for example `, 12 s ago`. Empty if the reading is fresh. `current`:
+    True if the board still sends reports."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 
 def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
-    """A velocity of the robot as a text, without the axes that are zero."""
+    """A velocity of the robot as text. Directions with zero speed are left out."""
     axes = (
         (vx_mps, "m/s", "forward", "backward"),
         (vy_mps, "m/s", "left", "right"),
@@ -99,13 +100,13 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
 
 
 def steering(rad: float) -> str:
-    """The commanded angle of the steered wheels, in words."""
+    """The commanded angle of the steered wheels, as text."""
     angle = round(degrees(rad))
     return f"{abs(angle)} degrees to the {'left' if angle > 0 else 'right'}" if angle else "straight ahead"
 
 
 def took(seconds: float) -> str:
-    """A short time as a text, with the digits that matter."""
+    """A short time as text, with only the digits that matter."""
     if seconds < 1e-4:
         return f"{seconds * 1e6:.0f} us"
     if seconds >= 1:
@@ -115,32 +116,33 @@ def took(seconds: float) -> str:
 
 
 def named(text: str, name: str) -> str:
-    """The text with the service's name added to failstop commands in backquotes, which is needed if several services
-    exist."""
-    import re  # the saver does not need it
+    """Add the option with the service's name to each failstop command in backquotes. This is needed if a computer has
+    several services."""
+    import re  # imported only here, because the incident saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
 
 def plain(text: str) -> str:
-    """The text without the backquotes of its commands."""
+    """The text without the backquotes around its commands."""
     return text.replace("`", "")
 
 
 def sentence(text: str) -> str:
-    """A text for the page: without backquotes, with a capital letter at its beginning and a full stop at its end."""
+    """A text as a sentence for the web page. It has no backquotes, begins with a capital letter, and ends with a full
+    stop."""
     text = plain(text).strip()
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
 
 
 def of(name: str) -> str:
-    """The service's name for the title of a screen; empty for the default name."""
+    """The service's name for the title of a screen. Empty for the default service."""
     return "" if name == DEFAULT_NAME else f" of {name!r}"
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """(client, what it sees, what it reports as wrong) for each client that reports something. Old reports come with
-    their age."""
+    """For each client that reports something: its name, what it sees, and what it reports as wrong. If the report is
+    old, its age is added to the name."""
     found = []
     for client in state.clients:
         if client.said_s is not None:
