@@ -102,8 +102,8 @@ def read(path: str | None) -> dict[str, object]:
 
 def _text(path: str) -> str:
     """Read the text of a settings file. It reads only a regular file, because reading a device or a pipe may never end.
-    It also refuses long files and long lines, because the parser's time grows with the square of the number of parts of a
-    key."""
+    It also refuses long files and long lines, because the parser's time grows with the square of the number of parts of
+    a key."""
     fd = durable.open_regular(path)
     try:
         data = b""

@@ -52,8 +52,8 @@ def make_runtime_dir(name: str) -> str:
 
 
 def _made(base: str, name: str, mode: int) -> bool:
-    """Make the directory `base` and the directory `name` in it. Returns False if the inner one belongs to
-    another user. Raises OSError, also if it belongs to another user and this process is root."""
+    """Make the directory `base` and the directory `name` in it. Returns False if another user owns the inner directory.
+    For root this is an error instead (Untrusted). Raises OSError."""
     before = os.umask(0)
     try:
         with contextlib.suppress(FileExistsError):

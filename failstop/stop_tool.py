@@ -173,8 +173,8 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
 
 
 def _group(proc: str, pid: str) -> list[bytes]:
-    """A process's control group, as lines of its `cgroup` file. Only the hierarchies that systemd uses to separate
-    services count, because in the others people may have moved single processes. Raises OSError."""
+    """The control group of a process, as lines of its `cgroup` file. It has only the lines for the hierarchies in which
+    systemd separates services. In other hierarchies people may have moved single processes. Raises OSError."""
     with open(f"{proc}/{pid}/cgroup", "rb") as file:
         return [line for line in file.read().splitlines() if line.split(b":", 2)[1] in (b"", b"name=systemd")]
 

@@ -54,8 +54,8 @@ class Arm:
 
         `to` is either one set of angles, or a trajectory: a list of points (seconds from the start, angles) that all
         have the same joints. `over_s` is the time for one set of angles; with 0 the arm moves as fast as `speed`
-        allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
-        each text about the progress.
+        allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with each text
+        about the progress.
 
         Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, the wheels are
         enabled, a stop is latched, another request or arm.hold() ends the move, or a servo does not answer or does not

@@ -136,8 +136,9 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot must disable motion when it ends, because it has enabled motion. If a driver dies, the gate
-        normally disables motion itself and reports which driver has died, so the Robot need not. Raises FailstopError."""
+        """True if this Robot must disable motion when it ends, because it has enabled motion. If a driver dies, the
+        gate normally disables motion itself and reports which driver has died, so the Robot need not. Raises
+        FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False

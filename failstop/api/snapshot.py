@@ -182,9 +182,8 @@ class Process:
     pid: int
     """The pid; 0 while no such process exists."""
     state: str
-    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed
-    because it hung, but not gone yet), dead, waiting (to be started), down (it has died too often, so it is not started
-    at once), or stopping."""
+    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed because it hung, but not gone
+    yet), dead, waiting (to be started), down (it has died too often, so it is not started at once), or stopping."""
     age_s: float
     """The time since its last heartbeat, in s. Before the first heartbeat, it is the time since the beginning of the
     run."""
@@ -223,8 +222,9 @@ class Device:
     """How long after the last frame the board's own watchdog acts, in s. 0 if the board has no watchdog, or this is not
     known."""
     watchdog_does: str = ""
-    """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: it
-    disarms the motors. Empty if the board has no watchdog, or this is not known."""
+    """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: the
+    wheels stop, and the board accepts no motion until it is armed again. Empty if the board has no watchdog, or this is
+    not known."""
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None

@@ -394,7 +394,7 @@ def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
 
 
 def _left_s(at_ns: int, now_ns: int) -> float | None:
-    """How many seconds are left until `at_ns`. None if it is 0, because then the time never comes."""
+    """How many seconds are left until `at_ns`. Returns None if `at_ns` is 0, which stands for never."""
     return max(0, at_ns - now_ns) / 1e9 if at_ns else None
 
 

@@ -77,8 +77,8 @@ WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
-    """Make the whole answer. `events`: the events of this run, the oldest first. With fewer events, the answer says
-    less."""
+    """Explain why the wheels are stopped, or what moves them. `events`: the events of this run, the oldest first.
+    Without these events, the answer says less."""
     start, began = since(state, events, now_s)
     what = _holds(state) if state.block else _free(state)
     if state.block and start is not None:

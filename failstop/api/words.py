@@ -39,8 +39,8 @@ def span(seconds: float) -> str:
 
 
 def printable(text: str) -> str:
-    """Somebody else's text on one line of a terminal: characters that control a terminal or change the direction of
-    writing are shown as codes, such as `\x1b` or `\u202e`."""
+    r"""Another program's text, made safe to show on one line of a terminal. Characters that control a terminal or
+    change the direction of writing are shown as codes, such as `\x1b` or `\u202e`."""
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(shown)
 

@@ -154,8 +154,7 @@ def _pieces(text: str, room: int) -> Iterator[str]:
 
 
 def paragraphs(text: str, columns: int) -> str:
-    """Wrap each line of a text. In a numbered list, the text of an item is indented so far that the numbers stand
-    out."""
+    """Wrap each line of a text. In a numbered list, all text of an item is to the right of its number."""
     rows: list[Line] = []
     for line in text.split("\n"):
         number = _NUMBER.match(line)

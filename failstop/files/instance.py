@@ -87,8 +87,8 @@ stop_path = _file("stop")
 bell_path = _file("bell")
 """Path of the bell, a FIFO with which clients wake the gate."""
 run_path = _file("run")
-"""Path of the file with the incarnation of the running service, in RUN_DIGITS hexadecimal digits. The incarnation is
-part of the names of its shared memory."""
+"""Path of the file that leads clients to the shared memory of the running service. It has the incarnation of this run,
+a random number in the names of the shared memory, as RUN_DIGITS hexadecimal digits."""
 last_path = _file("last")
 """Path of the file that says how the last service was started. It stays when the service ends."""
 

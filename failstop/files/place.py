@@ -2,8 +2,8 @@
 
 Another user could have put a directory, a link or a different kind of file at the expected path, so that this process
 writes into it. That would be worst if this process runs as root. So every directory and file is checked after it was
-opened. No link is followed. The directory must belong to root, to this user, or to a user to whom only root can have
-given it, and nobody else may write to it. The file must have the expected kind and the same owner as its directory.
+opened. No link is followed. The directory must belong to root, to this user, or to a user who can have got it only from
+root. Nobody else may write to it. The file must have the expected kind and the same owner as its directory.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def inner_directory(base: int, name: str, path: str) -> int:
 
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
     """Return `fd` if its directory can be trusted, else close it and raise Untrusted. The directory must belong to
-    root, to this user, to the owner of `base`, or to a user to whom only root can have given it. Others may not write
-    to it. `base` is None for the folder that contains runtime directories. Others may write to this one if it has the
+    root, to this user, to the owner of `base`, or to a user who can have got it only from root. Others may not write to
+    it. `base` is None for the folder that contains runtime directories. Others may write to this one if it has the
     sticky bit, because then nobody can replace another user's files."""
     try:
         found = os.fstat(fd)

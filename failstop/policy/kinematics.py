@@ -112,8 +112,8 @@ class Steered(Chassis):
         self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The closest velocity with the same forward speed that the base can have. The largest steering angle limits
-        how tight a curve can be."""
+        """The velocity closest to this one that the base can have. The forward speed stays the same, and the turn is
+        limited by the largest steering angle."""
         vx, _, wz = velocity
         most = abs(vx) * self._turns_most
         return vx, 0.0, max(-most, min(most, wz))

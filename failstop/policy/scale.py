@@ -103,6 +103,6 @@ def _turn(ratio: float) -> str:
 
 
 def _sizes(layout: str) -> str:
-    """The settings on which it depends how fast the robot turns."""
+    """The settings that determine how fast the robot turns."""
     of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
     return f"{of_layout.get(layout, 'wheels.track_m')}, wheels.diameter_m and board.per_rps"

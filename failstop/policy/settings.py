@@ -24,7 +24,7 @@ SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
-    """Declare a setting that has one of a few words, or any text if `allowed` is empty."""
+    """Declare a setting whose value is a text. `allowed`: the words that are allowed; empty for any text."""
     return Setting(key, default, "", None, None, doc, allowed)
 
 
@@ -331,7 +331,7 @@ MOST_OF_A_FAMILY = 8
 LONGEST_NAME = 16
 NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 FIRST_SOURCE = "cmd_vel"
-"""The source that a program commands as if it does not name one."""
+"""The source that a command belongs to if the program names no source."""
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
