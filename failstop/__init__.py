@@ -6,14 +6,14 @@
     with Robot() as robot:                  # the service that runs on this machine
         robot.wait_for("enabled")           # until a person types: failstop enable
         while robot.state.enabled:
-            robot.sensed()                  # the obstacle sensor delivered just now
+            robot.sensed()                  # the obstacle sensor has just delivered a reading
             robot.drive(0.2, 0.0, 0.0)      # m/s forward, m/s left, rad/s counter-clockwise
             time.sleep(0.05)                # a command is valid for 0.3 s
-        print(robot.why())                  # what holds the wheels, what proves it, what to do
+        print(robot.why())                  # why it was stopped, what proves it, what to do
                                             # leaving `with` stops the wheels
 
-If it crashes, motion is disabled, so it waits for a person when it is started again. Robot.connect() is the same for
-asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
+If this program crashes, motion is disabled. So when it is started again, it waits for a person. For asyncio, use
+Robot.connect(). Times are in s, lengths in m, angles in rad, voltages in V. The guide is docs/python.md.
 """
 
 from __future__ import annotations

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MOST_BYTES = 65536
-"""The largest settings file that is read, in bytes. A file that sets and explains every setting has a ninth of this."""
+"""The largest settings file that is read, in bytes. A file that sets and explains every setting has only a ninth of
+this size."""
 LONGEST_LINE = 1000
 LONGEST_KEY = 80
-"""The longest key that is accepted, in characters: twice the length of the longest key of any setting."""
+"""The longest key that is accepted, in characters. No setting has a key of more than half this length."""
 FOLDER = "/etc/failstop"
 MODE_BUTTON = "pad.mode_button"
 

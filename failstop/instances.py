@@ -28,8 +28,8 @@ def make_runtime_dir(name: str) -> str:
     InstanceError.
 
     It tries the directories of instance.bases() in order, and skips those that this user may not use. Any other error,
-    such as a full disk, ends the search: clients look in that directory first, so a service in a later one would not be
-    found.
+    such as a full disk, ends the search, because clients look in that directory first. They would not find a service in
+    a later one.
     """
     instance.check_name(name)
     doubts = ""

@@ -22,7 +22,7 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 class Arm:
     """The robot's arm, which you get as `robot.arm`. It moves only while motion is disabled and no stop is latched. If
-    two programs set goals for it at the same time, the robot is stopped with a latch."""
+    two programs set goals for the arm at the same time, a stop is latched."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError if the robot's settings name no joints."""
@@ -108,8 +108,8 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is just moving
-        the arm to its drive pose, that is given up too."""
+        """Stop the arm where it is. The torque stays on, and all goals are dropped. An enable that is just moving the
+        arm to its drive pose is given up, so motion stays disabled."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:

@@ -50,7 +50,8 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
     The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
-    Other requests may keep the pipe from ever becoming empty. Then a higher epoch than at the beginning means the same.
+    Other requests may keep the pipe from ever becoming empty. In that case, a higher epoch than at the beginning shows
+    that the stop was written.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader

@@ -74,8 +74,8 @@ def unread(fd: int) -> int:
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Ask the service to stop the robot. The service latches the stop. Every local user may do this. It never waits for
-    the service. Raises NoService, FailstopError.
+    """Ask the service to stop the robot. The service latches the stop. Every local user may do this. This call never
+    waits for the service. Raises NoService, FailstopError.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`. It can't check who asked, because a pipe does not
     show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object whose text needs
@@ -133,8 +133,8 @@ class SeenRun:
     """The run of the service that exists when this object is made. It shows if that run has ended, and what its
     settings declare. Not thread-safe.
 
-    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So it
-    does not change while the run lasts.
+    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So
+    these values do not change while the run lasts.
     """
 
     def __init__(self, name: str) -> None:
@@ -168,8 +168,8 @@ class SeenRun:
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True if this run has ended, because its supervisor has died. The check needs only one system call, so every
-        call can make it."""
+        """True if this run has ended, because its supervisor has died. This check needs only one system call, so it is
+        cheap enough for every call."""
         try:
             return not segments.lives(self._life)
         except OSError:  # the program has closed this descriptor; a new SeenRun opens another
@@ -278,7 +278,7 @@ class Client:
             raise gone(self.name) from None
 
     def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of records.OF_SESSION, and return the bytes. `t_ns`: the time that the values are about
+        """Write a record of records.OF_SESSION, and return its bytes. `t_ns`: the time that the values are about
         (CLOCK_MONOTONIC), by default now. The gate reads the record at its next tick, or with `wake` at once. Raises
         NoService, ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)

@@ -14,8 +14,8 @@ from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
 """How long it takes from the death of a process until the board gets the stop, in seconds. On a quiet machine this is
-about 1 ms. The value is not exceeded by any p99 in docs/reference/faults.md, where a shared machine was measured. It is
-for Hiwonder's board; for other boards see OWN_LINE_S."""
+about 1 ms. On the shared machine of docs/reference/faults.md, every p99 is lower than this. It is for Hiwonder's board;
+for other boards see OWN_LINE_S."""
 SLACK_S = 0.015
 """How long it takes from the end of a deadline to the stop, in seconds, by the same measurements as DEATH_S."""
 SILENCE_S = 0.02
@@ -28,8 +28,8 @@ BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
 """The text in which every screen shows the longest stopping distance."""
 Reaction = tuple[float, str]
-"""One fault that failstop can detect: how long after the fault the wheels are still commanded to turn (s), and the
-fault in words."""
+"""One fault that failstop can detect, as a pair. The first value is how long after the fault the wheels are still
+commanded to turn, in s. The second is the fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:

@@ -23,8 +23,8 @@ LOOK_S = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """One event of the service. Its kinds, and the fields of each kind, are listed in docs/logs.md and
-    supervisor/kinds.py."""
+    """One event of the service. docs/logs.md and supervisor/kinds.py list the kinds of events, and the fields of each
+    kind."""
 
     seq: int
     """The number of the event, counted from 1 in each run of the service. A gap in the numbers means that events were

@@ -1,4 +1,5 @@
-"""A futex by which the service notices that this program has died. A thread holds it, which does nothing else."""
+"""A futex by which the service notices that this program has died. A thread of the program holds the futex, and does
+nothing else."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the thread. Clear the word of the futex before."""
+        """End the thread. Before this call, the caller must clear the word of the futex."""
         self._ends.put(None)
 
 

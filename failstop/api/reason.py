@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 LOOKED_AT = 1000
-"""How many characters of a text are looked at. A request has room for fewer."""
+"""Only this many characters of a text are used. A request has room for even fewer."""
 LONGEST_BITS = 64
 """The longest integer that is shown, in bits. Python refuses to convert an integer with thousands of digits."""
 

@@ -70,7 +70,7 @@ class Blocked:
 
 
 Answer = Driving | Preempted | Blocked
-"""What drive() returns. As a condition, only Driving is true."""
+"""What drive() returns. In an `if`, only Driving counts as true."""
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
@@ -149,9 +149,9 @@ class Calls(Session):
 
         The operator counts as present now, or at `proven_ns` (CLOCK_MONOTONIC, ns). For example, if the operator
         answers a question of your program, pass the time at which it was asked. An operator who was not reported for
-        attend.lease_s (1 s) counts as gone. That latches a stop, unless another operator is present. So do leave() and
-        the end of this program. A Robot reports one operator at a time; if you pass another name, the first operator
-        counts as gone. Raises NoService.
+        attend.lease_s (1 s) counts as gone. That latches a stop, unless another operator is present. The same happens
+        after leave() and at the end of this program. A Robot reports one operator at a time; if you pass another name,
+        the first operator counts as gone. Raises NoService.
         """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
@@ -198,8 +198,8 @@ class Calls(Session):
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call: Imu, Pad and Odometry samples, each with its time. Unlike the state,
-        which has only the newest sample of each type, this misses none. The first call starts the collection, and so
+        """The board's reports since the last call, as Imu, Pad and Odometry samples with their times. Each sample is
+        returned once. The state has only the newest sample of each type. The first call starts the collection, and so
         does the first call after a restart of the service. Samples that came in the same read have the same time.
         Raises NoService, FailstopError."""
         with self._lock:
@@ -315,10 +315,10 @@ class Robot(Calls):
         timeout (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
         clamped. After a restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (why). As a condition, only Driving is true. While the
-        wheels turn, the call does not wait, and the answer may be about the command before this one. Otherwise it waits
-        until the gate has read this command, but no longer than `wait_s`. That takes 0.3 ms on an idle machine. If the
-        time is over, or `wait_s` is 0, the answer may be about the command before.
+        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. While
+        the wheels turn, the call does not wait, and the answer may be about the command before this one. Otherwise it
+        waits until the gate has read this command, but no longer than `wait_s`. That takes 0.3 ms on an idle machine.
+        If the time is over, or `wait_s` is 0, the answer may be about the command before.
 
         A command may have been delayed on its way to you, for example by a network. Then pass `proven_ns`
         (CLOCK_MONOTONIC, ns), the newest moment at which you know that the command was wanted; its timeout counts from
@@ -345,10 +345,10 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command the speed of each wheel, rad/s, positive forward. The order is that of `state.wheels_radps`, whose
-        `names` shows it. A steered base has two rear wheels, whose speeds set how fast it goes and turns. If you also
-        pass `steering_rad` (positive to the left), the mean of their speeds sets how fast it goes, and the angle sets
-        how it turns.
+        """Command the speed of each wheel, rad/s, positive forward. The wheels are in the order of
+        `state.wheels_radps.names`. A steered base has two rear wheels, whose speeds set how fast it goes and turns. If
+        you also pass `steering_rad` (positive to the left), the mean of their speeds sets how fast it goes, and the
+        angle sets how it turns.
 
         This computes the velocity of a base whose wheels turn like this, from the sizes in the settings, and calls
         drive() with it. So all limits, ramps, sources and results are those of drive(). A limit slows all wheels in the
@@ -363,8 +363,8 @@ class Robot(Calls):
         program. A program that enables motion by itself drives off unattended when it is restarted after a crash.
 
         If the robot has an arm, the arm first moves to its drive pose, which takes seconds. `progress` is called with
-        each text about that. arm.hold(), disable() or a stop ends it. Raises Refused with the reason: a stop is
-        latched, the service is not ready, an interlock does not hold, or the request was made before the last stop.
+        each text about this move. arm.hold(), disable() or a stop ends the move. Raises Refused with the reason: a stop
+        is latched, the service is not ready, an interlock does not hold, or the request was made before the last stop.
         """
         return sleep_through(self._asking(records.ENABLE, progress))
 

@@ -99,8 +99,8 @@ class Session:
         motion stays enabled for other programs.
 
         Raises NoService when no service is running, FailstopError for an invalid name. If something else prevents
-        driving or reading the state, for example a service of another version, the calls for that raise the error. It
-        must not prevent estop().
+        driving or reading the state, for example a service of another version, the calls for that raise the error. So
+        estop() always works.
         """
         self.name = name
         self.client_name = client or own_name()
@@ -111,8 +111,8 @@ class Session:
         self._enabled = False
         """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """The request that the gate has not answered yet. It is given by the thread that has made it and, if a task of
-        an event loop waits for the answer, by an object of that task."""
+        """The request that the gate has not answered yet, as a pair. It has the thread that has made the request, and
+        an object that stands for the task if a task of an event loop waits for the answer."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -217,8 +217,8 @@ class Session:
         """Send one request to the gate, and wait for the answer.
 
         The gate keeps only the newest request of each client. So if several threads or tasks make requests, these are
-        sent one after the other. A request that takes long, such as a move of the arm, lets others pass, which can also
-        end it.
+        sent one after the other. A request that takes long, such as a move of the arm, lets other requests pass, so
+        that one of them can end it.
 
         `progress` is called with each text about the progress. `about`: a record that belongs to the request, followed
         by its values. `asked_ns`: when the request was made, by default now. The gate needs this, because a stop may
@@ -268,7 +268,7 @@ class Session:
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
         """The error if the gate refused a request, with the next step. If it was refused because of a latched stop, the
-        step is the one that leads to an enable."""
+        next step is what must be done before motion can be enabled."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE

@@ -33,7 +33,8 @@ class Block(enum.Enum):
 
     @classmethod
     def of(cls, text: str | None) -> Block | None:
-        """The Block for a text of the gate (`State.blocked`). None if the text is None, so that nothing is blocked."""
+        """The Block for a text of the gate (`State.blocked`). Returns None if the text is None, because then nothing is
+        blocked."""
         told = {
             box.DISABLED: cls.DISABLED,
             box.HELD: cls.HELD,
@@ -118,7 +119,7 @@ class Ages:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """A check of the setting board.per_rps: do the wheels turn as fast as commanded?"""
+    """A check of the setting board.per_rps. It shows if the wheels turn as fast as commanded."""
 
     capped: str = ""
     """While nobody has confirmed board.per_rps, speeds are capped. This text then says so, with the remedy. Empty after
@@ -159,8 +160,8 @@ class Stop:
     """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if they were
     not seen moving before the stop either."""
     epoch: int = 0
-    """The epoch that this stop has raised. If somebody asked for a stop during an earlier epoch, this stop is the
-    answer too."""
+    """The epoch that this stop has raised. If somebody requested a stop during an earlier epoch, this stop also answers
+    that request."""
     sent: bool = True
     """False if the bytes of the stop are still in the kernel, because the board accepts none."""
     acknowledged_by: str = "answer"
@@ -198,8 +199,8 @@ class Process:
     memory_locked: bool
     """True if its memory can't be swapped out."""
     early_news: bool = True
-    """True if the kernel tells this process that another process has died before it frees the memory of the dead
-    one."""
+    """True if the kernel reports the death of another process to this process early. Early means before the kernel
+    frees the memory of the dead process."""
     killed: bool = False
     """True if the previous process of this name was killed by a signal."""
     starts_in_s: float | None = None
@@ -275,7 +276,7 @@ class Source:
 @dataclasses.dataclass(frozen=True)
 class Starved:
     """In the last ten minutes, the machine has not run a process of the service for some time. Nothing was stopped,
-    because motion was disabled. This is the longest such time."""
+    because motion was disabled. These values are about the longest such time."""
 
     longest_s: float
     """How long the process was not run, in s."""
@@ -403,7 +404,7 @@ class ArmState:
     """The state of the arm."""
 
     mode: str
-    """How the arm is being moved: trajectory, follow, jog, or empty."""
+    """How the arm is being moved: trajectory, follow or jog. Empty if it is not being moved."""
     phase: str
     """How far a trajectory has come, in words."""
     moving: bool
@@ -462,7 +463,8 @@ class State:
     clients: tuple[Client, ...]
     """The programs that hold client slots."""
     sources: tuple[Source, ...]
-    """The source that drives, and the sources that wait or have fallen silent. The highest priority comes first."""
+    """The sources whose last command still counts, and those that have fallen silent (see `Source.state`). The highest
+    priority comes first."""
     scan_age_s: float | None
     """The time since the obstacle sensor last delivered a reading, in s. None if it never has."""
     last_stop: Stop | None
@@ -493,7 +495,7 @@ class State:
     unmet: str = ""
     """Why an interlock does not hold, as a text. Empty if all interlocks in the settings hold."""
     starved_times: int = 0
-    """How often in this run a silence like the one in `starved` was excused."""
+    """How often in this run nothing was stopped although the machine did not run a process in time (see `starved`)."""
     lease_s: float = 0.06
     """How long the gate or the supervisor may be silent while the wheels turn, in s (gate.lease_s; longer without
     real-time rights)."""

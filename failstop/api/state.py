@@ -33,8 +33,7 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""The units of times in records. The name of such a value ends with the unit. The number says how many units make a
-second."""
+"""The names of times in records end with their unit. This table says how many of each unit make a second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -162,8 +161,8 @@ class StateReader(SeenRun):
         return chassis_of(self._declared)
 
     def of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> snapshot.Velocity:
-        """The velocity of the base at these wheel speeds. Raises ValueError for a wrong number of wheels, or for an
-        angle on a base without steering; FailstopError."""
+        """The velocity of the base at these wheel speeds. Raises FailstopError, and ValueError for a wrong number of
+        wheels or for an angle on a base without steering."""
         from failstop.policy.kinematics import of_wheels
 
         mounted = mounted_wheels(self.settings())
@@ -263,9 +262,9 @@ class StateReader(SeenRun):
         Until the gate has published its first decision, motion counts as disabled since the start of the run. Raises
         FailstopError.
 
-        A stop counts even if the gate has not followed it yet, because the gate hangs or has just died. The port owner
-        accepts no frames from an older epoch, and the next gate starts with the latched stop. The same is true if the
-        supervisor has died or fallen silent, and the gate still publishes its last decision.
+        A stop counts even if the gate has not reacted to it yet, because the gate hangs or has just died. The port
+        owner accepts no frames from an older epoch, and the next gate starts with the latched stop. The same is true if
+        the supervisor has died or fallen silent, and the gate still publishes its last decision.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop

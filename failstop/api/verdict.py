@@ -101,15 +101,15 @@ def doubt(state: State) -> str:
 
 
 def unseen(state: State) -> str:
-    """A text that must be added to the word about the wheels, because they still turn, or nothing shows what they do.
-    Empty if the word is enough, or if doubt() has a text."""
+    """What word() does not say about the wheels. They may still turn, or nothing may show what they do. Empty if word()
+    says enough, or if doubt() has a text."""
     found = row(state)
     return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
-    """Why the word about the wheels is not proven. Empty if the board's answers prove it. Also empty if doubt() has a
-    text, or if this kind of board can't answer."""
+    """Why it is not proven that the wheels do what word() says. Empty if the board's answers prove it. Also empty if
+    doubt() has a text, or if this kind of board can't answer."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -216,8 +216,7 @@ def left_off(events: Sequence[Event]) -> Event | None:
 
 
 def death(state: State, events: Sequence[Event]) -> Event | None:
-    """The event about the death of the driver because of which motion is disabled. None if motion is disabled for
-    another reason."""
+    """If motion is disabled because a driver has died, the event about this death. Otherwise None."""
     last = newest(events, CHANGES)
     return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 

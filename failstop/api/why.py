@@ -24,7 +24,7 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""This long after a stop, in s, nothing more can be learned about it."""
+"""When this time has passed after a stop, in s, nothing more is learned about it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _free(state: State) -> str:
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
-    """When the present block began (Unix time, s), or None if that is not known, and a text about what began it."""
+    """When the present block began (Unix time, s), or None if that is not known, and a text about what caused it."""
     stop = state.last_stop
     if state.cause:
         begun = stop.t if stop and stop.cause == state.cause else None
@@ -165,8 +165,8 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """A text about the proof of the stop because of which the wheels are stopped. If no latched stop is the reason, it
-    says only what the board's answers prove, because the times of an earlier stop prove nothing about the present."""
+    """A text about the proof of the stop that keeps the wheels stopped. If no latched stop is the reason, it says only
+    what the board's answers prove, because the times of an earlier stop prove nothing about the present."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -190,9 +190,10 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that nothing could
-    be observed: the wheels were not moving before the stop either, or this board never acknowledges a stop. If the stop
-    was not written, the list says only that. `link`: the state of the connection to the board."""
+    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that there was
+    nothing to observe, because the wheels were not moving before the stop either, or because this board never
+    acknowledges a stop. If the stop was not written, the list says only that. `link`: the state of the connection to
+    the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""

@@ -15,7 +15,8 @@ DAY_S = 86400.0
 OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
-"""Unless somebody sets one of them, two clocks of a computer drift apart by at most this share of the time."""
+"""The most that two clocks of a computer drift apart, as a share of the time, unless somebody sets one of the
+clocks."""
 GUARDED = "uses the guard port "
 """The guard's report about a driver begins with this text. The path of the port follows."""
 NOWHERE_MPS = 0.0005

@@ -17,7 +17,8 @@ SHARED = "/dev/shm/failstop"
 STOP_FIELD = "stop "
 """In the file of the last run, the field with the board's stop begins with this text."""
 LAST_BYTES = 65536
-"""The most bytes that are read from the file of the last run. The longest possible paths, quoted for a shell, fit."""
+"""The most bytes that are read from the file of the last run. Even the longest possible paths, quoted for a shell, fit
+into it."""
 
 
 class Last(Data):
@@ -218,8 +219,8 @@ def open_stop(name: str) -> tuple[str, int]:
 
 
 def _unseen(error: Exception, path: str) -> None:
-    """Raise InstanceError if the file could not be opened because there are too many open files, because then a service
-    may still be running."""
+    """Raise InstanceError if the file could not be opened because too many files are open. A service may be running in
+    that case, so it must not be reported as missing."""
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         raise InstanceError(f"{path} can't be opened: {error.strerror}") from error
 

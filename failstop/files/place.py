@@ -58,9 +58,9 @@ def inner_directory(base: int, name: str, path: str) -> int:
 
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
     """Return `fd` if its directory can be trusted, else close it and raise Untrusted. The directory must belong to
-    root, to this user, to the owner of `base`, or to a user who can have got it only from root. Others may not write to
-    it. `base` is None for the folder that contains runtime directories. Others may write to this one if it has the
-    sticky bit, because then nobody can replace another user's files."""
+    root, to this user, to the owner of `base`, or to a user who can have got it only from root. Nobody else may write
+    to it. The only exception is a folder that contains runtime directories and has the sticky bit, because there nobody
+    can replace another user's files. For this folder, `base` is None."""
     try:
         found = os.fstat(fd)
         above = base or os.stat("..", dir_fd=fd)

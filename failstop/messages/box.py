@@ -53,7 +53,7 @@ wheels, because no source with a higher priority has taken over."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 """Kinds of entries about bytes for the board. WIRE_BURST: a stop burst. WIRE_FRAME: one frame, with its first bytes.
-WIRE_REST: the remaining bytes of a burst or frame of which the kernel took only a part before."""
+WIRE_REST: the remaining bytes, if the kernel took only a part of a burst or frame at first."""
 WIRE_HEAD = 39
 """How many bytes of each frame are kept. A motor frame for four wheels has 27 bytes, and steering adds at most 12."""
 
@@ -84,7 +84,7 @@ REPORTS: dict[int, Shape] = {
     WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
 """The shapes of the board's reports, as telemetry has decoded them. The kind is the first byte of the entry. IMU
-samples are as published. Wheel speeds are in turns per second, by wire id (NaN if not reported)."""
+samples are stored as they are published. Wheel speeds are in turns per second, by wire id (NaN if not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")

@@ -34,9 +34,9 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """Pack a text and its fields into at most `room` bytes. `whole` combines the two into one value. `cuts` has pairs
-    of the longest text and the longest field, in bytes; the first pair that fits is used. If none fits, all fields are
-    left out."""
+    """Pack a text and its fields into at most `room` bytes. `whole` is a function that combines the two into one value.
+    Each pair in `cuts` is a limit in bytes for the text, and one for each field. The first pair with which everything
+    fits is used. If there is none, all fields are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {

@@ -32,8 +32,8 @@ ASKED_BYTES = 180
 record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""If somebody stops the whole fleet, this text comes before their name in the stop request that the robot's fleet
-publisher passes on."""
+"""A request to stop the whole fleet has this text before the name of the person who asked. The fleet publisher on each
+robot passes such a request on."""
 CAUSE = "{cause}"
 """In the text of a reply, the text of the cause replaces this placeholder."""
 REPLY_BYTES = 290

@@ -37,7 +37,7 @@ CLIENTS = "gate"
 NUMBER_BYTES = 2
 LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
 """ROS nodes that are usually the last node before a base. If several of these are running, the first one in this list
-counts."""
+is taken for the last node."""
 INNER_NODES = ("behavior_server", "controller_server", "docking_server", "following_server")
 """Nodes of Nav2 that usually send their velocities to another node, not directly to the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
@@ -104,8 +104,8 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text at the moment of the stop. It says to use the power switch if the stop may not have reached the
-        wheels."""
+        """The text that is shown when the stop happens. It says to use the power switch if the stop may not have
+        reached the wheels."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
@@ -228,7 +228,7 @@ def _to_remap(cause: Cause) -> str:
 
 
 ADVISED = {"others": _to_remap}
-"""The names that a remedy can contain. Each placeholder has a function that finds the name."""
+"""The placeholders that a remedy can contain, each with a function that returns the text to fill in."""
 BY = " (says it is "
 """In the text of a requested stop, these words follow the reason, and the name of the program follows them."""
 
@@ -475,7 +475,7 @@ SIGNED = (
     ROS_ARM_NOT_HELD,
     ROS_NO_ANSWER,
 )
-"""The causes of stops that a program requests and signs: it gives a reason, its name and its pid."""
+"""The causes of stops that a program requests, giving a reason, its name and its pid."""
 
 
 class Reply(Data):

@@ -1,7 +1,8 @@
 """Halted: the sentence that a command prints about the wheels after it has tried to stop them. Pure.
 
-It says that the wheels are stopped only if that was observed. For that the whole stop must have been written, and if
-the board can confirm a stop, it must have done so. Otherwise the sentence says that a wheel may still be turning.
+The sentence says that the wheels are stopped, but only if that was observed. For that the whole stop must have been
+written, and if the board can confirm a stop, it must have done so. Otherwise the sentence says that a wheel may still
+be turning.
 """
 
 from __future__ import annotations

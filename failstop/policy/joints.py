@@ -1,7 +1,8 @@
 """Joints: the settings of each joint of the arm, and where the joint is. Pure.
 
 Positions are in pulses of the servo. Commanded positions have fractions, which are rounded only when a frame is made.
-That is necessary because a slow joint moves by less than a pulse per step; at 0.3 rad/s a step has 2.9 pulses.
+Rounding them earlier would spoil slow moves. At 0.3 rad/s a step has only 2.9 pulses, and at lower speeds it may have
+less than one.
 """
 
 from __future__ import annotations

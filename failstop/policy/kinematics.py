@@ -18,7 +18,7 @@ from failstop.policy.settings import Settings, mounted_wheels
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
 WheelSpeeds = tuple[float, ...]
 RimSpeeds = tuple[float, float, float]
-"""The speed at the rim of a wheel, m/s, that each m/s of vx, each m/s of vy and each rad/s of wz adds."""
+"""How much each m/s of vx, each m/s of vy and each rad/s of wz adds to the speed at the rim of a wheel, m/s."""
 
 FIXED, MECANUM = 0.0, 1.0
 """How much the wheels of a base with two sides take part in sideways motion: FIXED wheels don't, MECANUM wheels do
@@ -86,8 +86,8 @@ class Chassis:
         return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """The speed of each wheel for this velocity, in turns per second by wire id. If no wheel can follow the
-        velocity, all are 0."""
+        """The speed of each wheel for this velocity, in turns per second by wire id. A part of the velocity that no
+        wheel can follow, such as sideways on fixed wheels, moves nothing."""
         # Adding zero turns -0.0 into +0.0.
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 

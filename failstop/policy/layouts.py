@@ -124,7 +124,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""Settings that exist only for some layouts, each with these layouts."""
+"""Settings that exist only for some layouts. Each has the layouts for which it exists."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:

@@ -1,5 +1,5 @@
 """Placing: explains two mistakes in a settings file. A line can be below the wrong [table], so that TOML reads it as
-part of that table, or a setting can be there twice. Imported only after such a mistake."""
+part of that table, or a setting can be in the file twice. Imported only after such a mistake."""
 
 from __future__ import annotations
 
@@ -83,8 +83,7 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """What is in the file twice, if the parser's message `problem` says that something is. Empty if nothing is
-    found."""
+    """A text about what is in the file twice, if that is what the parser's message `problem` means. Otherwise empty."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

@@ -31,24 +31,24 @@ NOT_SENT = "NOT sent: the board accepts no bytes"
 """This text says that the bytes of a stop have not left the kernel, because the board accepts none. With the cdc_acm
 driver the kernel can hold them; a full pty takes none."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
-"""What has acknowledged a stop, in words, by the name that the board interface uses."""
+"""What can acknowledge a stop, in words for people. The keys are the words of the board interface."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
 """The reason why a stop is not acknowledged although the board is connected. This board answers no pings, and it
 reported zero speed already before the stop, or it did not report that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
-"""What has observed the wheels, in words, by the name that the board interface uses. If nothing has, the text is
-NO_IMU."""
+"""What can observe the wheels, in words for people. The keys are the words of the board interface. If nothing observes
+the wheels, the text is NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
 """If the observer saw no motion before the stop either, nothing could be seen to come to rest. This is the text for
-that case, by observer."""
+that case. The keys are the observers."""
 ALTHOUGH_TOLD_ZERO = {
     "wheels": "the wheels turn although they are told to stop",
     "IMU": "the robot moves, or is being moved, although its wheels are told to stop",
 }
-"""The text about wheels that still turn longer after a stop than is allowed, by observer."""
+"""The text about wheels that keep turning after a stop for longer than is allowed. The keys are the observers."""
 WATCHDOGS = {"zero": "it stops its wheels", "coast": "it lets its wheels coast", "disarm": "it disarms its motors"}
-"""What the board's own watchdog does, in words, by the name that the board interface uses."""
+"""What the board's own watchdog does, in words for people. The keys are the words of the board interface."""
 RESOLUTION_S = 0.2
 """How exactly the IMU shows when the wheels came to rest, in seconds."""
 WINDOW_NS = 500_000_000
@@ -63,8 +63,8 @@ The board may have answered earlier, and the wheels may have stopped earlier, th
 
 
 def heard_late(process: object) -> str:
-    """The text to add to the time of an answer after a stop. It is HEARD_LATE if `process`, about which the stop's
-    cause is, is telemetry. Otherwise it is empty, because the answer was received at once."""
+    """A text to add to the time of an answer after a stop. `process`: the process that the cause of the stop is about.
+    If that is telemetry, the answer was received late, and the text is HEARD_LATE. Otherwise it is empty."""
     return HEARD_LATE if process == "telemetry" else ""
 
 

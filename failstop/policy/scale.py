@@ -23,9 +23,9 @@ m/s becomes no more than 0.25 m/s, the reduced speed at which people may work be
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""By which factor the measured speed of a wheel may be higher or lower than the commanded one. The value for True is
-for a board that holds the commanded speed. The value for False is for a board that only sets a voltage, because its
-wheels turn faster downhill and slower under load."""
+"""How much faster or slower than commanded a wheel may turn, as a factor. The value for True is for a board that holds
+the commanded speed. The value for False is for a board that only sets a voltage, because its wheels turn faster
+downhill and slower under load."""
 GYRO_FITS = (1 / 1.6, 1.25)
 """The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
 below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""

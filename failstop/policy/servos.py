@@ -24,7 +24,7 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
     """The ids of the servos on the bus that turn the wheels. On a board whose motor controllers report for themselves,
-    these are the ids of the controllers. Empty if neither is so."""
+    these are the ids of the controllers. Empty on other boards."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]

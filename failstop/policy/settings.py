@@ -356,8 +356,8 @@ class Settings:
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Check the changed values, and fill in the defaults of all others. Raises SettingError. Its message lists all
-        unknown keys, wrong types and values out of range together; otherwise it names values that contradict each
+        """Check the changed values, and fill in the defaults of all others. Raises SettingError, whose message lists
+        all unknown keys, wrong types and values out of range. If there are none, it names values that contradict each
         other.
 
         `changed` has the values by key. An empty dict as a value is an empty table, for example a source with only
