@@ -19,7 +19,7 @@ read-only. Then the next directory is tried."""
 
 
 def unit_of(name: str) -> str:
-    """The systemd unit of the instance with this name, for example `failstop@left.service`."""
+    """The systemd unit of the instance with this name, for example `failstop@left.service` for the name left."""
     return "failstop.service" if name == instance.DEFAULT_NAME else f"failstop@{name}.service"
 
 

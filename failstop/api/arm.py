@@ -1,4 +1,4 @@
-"""Arm: moves the robot's arm from Python. Angles are in rad, by the name of the joint in the settings
+"""Arm: moves the robot's arm from Python. Angles are in rad. Each joint has the name that it has in the settings
 ([joints.NAME])."""
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Ask a service to stop, and wait until it has latched the stop, but not longer than LATCH_S. Raises nothing
-    itself.
+    """Ask a service to stop the robot, and wait until it has latched the stop, but not longer than LATCH_S. Raises
+    nothing itself.
 
     Returns (result, problem, doubt). `result` is a text about the stop; it is empty if no stop is known to be written.
     `problem` is a text about what is wrong; it may be empty. `doubt` is True if the wheels may still turn.

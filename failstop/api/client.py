@@ -347,7 +347,7 @@ def _give_back(
     then other files may have their numbers. `files`: what _files() returned for these descriptors."""
     if os.getpid() == owner:
         if _files(held.fileno(), ring) == files:
-            # The goodbye must come first, because another process may take the slot before the gate has seen it free.
+            # Write the goodbye, because another process may take the slot before the gate has seen it free.
             with contextlib.suppress(OSError, ValueError):
                 for goodbye in farewell:
                     held.latest_writer("left").write(goodbye)

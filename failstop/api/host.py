@@ -35,7 +35,7 @@ def start(name: str) -> str:
 
 def stop(device: str | None = None) -> str:
     """The command that writes a stop when no service is running, in backquotes."""
-    import shlex  # a computer on which only a program drives may not have this command
+    import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 

@@ -161,8 +161,8 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The service's present run. If the run has ended and its last processes are just ending, its state can still
-        be read. Raises NoService, FailstopError."""
+        """The service's present run. If the run has ended, its state can still be read until its last processes have
+        ended too. Raises NoService, FailstopError."""
         self._check_open()
         run = self._run  # kept in a variable, because a signal handler may close this object meanwhile
         if run is None or run.over():

@@ -154,8 +154,8 @@ class Stop:
     """The first proof: how long it took from noticing the cause until the kernel had the bytes of the stop, in s. None
     if they could not be written."""
     acknowledged_s: float | None
-    """The second proof: how long it took from noticing the cause until the board acknowledged the stop, in s. For that
-    the board answers a ping that was written after the stop, or reports that it obeys the stop."""
+    """The second proof: how long it took from noticing the cause until the board acknowledged the stop, in s. A board
+    acknowledges a stop by answering a ping that was written after it, or by reporting that it obeys the stop."""
     observed_s: float | None
     """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if they were
     not seen moving before the stop either."""

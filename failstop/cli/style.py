@@ -47,7 +47,7 @@ def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
-    """The escape code (SGR) of the colour of each role. Empty if this terminal shows no colours."""
+    """For each role, the escape code (SGR) of its colour. Empty if this terminal shows no colours."""
     return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 

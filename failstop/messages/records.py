@@ -289,8 +289,7 @@ LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 was last raised (ns); and the packed cause of the latched stop. If nothing is latched, it is the cause of the last
 stop."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
-"""The port: its number in this run; since when it has been in its state (ns); that state, such as PORT_OPEN; and its
-path."""
+"""The port: its number in this run; when its present state began (ns); this state, such as PORT_OPEN; and its path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     "<Q3d?",
     Tail(
@@ -416,8 +415,8 @@ PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
 PAD_ARM: Payload[int, float] = Payload("<Bd")
 """The gamepad's command for the arm: the index of a joint in the settings, and the share of its speed, -1 to 1."""
 PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
-"""A request of the gamepad, which telemetry passes to the gate: PAD_RESET; or PAD_FRAME, with a frame for the board
-that moves nothing."""
+"""A request of the gamepad, which telemetry passes to the gate. It is PAD_RESET, or PAD_FRAME with a frame for the
+board that moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:

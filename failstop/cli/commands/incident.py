@@ -153,8 +153,8 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """A text that says when the wheels were last stopped without a latched stop, and that there is no incident of that.
-    Empty if nothing has stopped them since the last latched stop, or if a stop is latched at present."""
+    """A text that says when the wheels were last stopped without a latched stop. It also says that such a stop has no
+    incident. Empty if nothing has stopped them since the last latched stop, or if a stop is latched at present."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:

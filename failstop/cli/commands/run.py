@@ -26,7 +26,7 @@ OF_SETTINGS = "the stop is written to {}"
 OF_LAST_RUN = "the stop of the last run's board is written to {}"
 OF_ANOTHER = "{}; if another board is there, use the POWER SWITCH"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
-"""Errors because of which the service does not start."""
+"""Errors that keep the service from starting."""
 
 EXAMPLES = """\
 failstop run                             # /dev/ttyACM0, default settings

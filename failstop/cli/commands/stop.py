@@ -1,6 +1,6 @@
 """`failstop stop`, also called `failstop estop`. It asks the running service to stop the robot. If no service is
-running, or if the service does not stop, it writes the stop to the port itself. So it works even if everything else has
-failed."""
+running, or if the service does not stop the robot, it writes the stop to the port itself. So it works even if
+everything else has failed."""
 
 from __future__ import annotations
 
@@ -94,9 +94,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
 
-    The exit code is 1 if no stop is known to have reached the board. So it is 1 even after a stop was written if that
-    may have been the wrong port, or if the board could answer but does not. It is also 1 if --end-service is not
-    allowed here.
+    The exit code is 1 even after a stop was written, if it may have gone to the wrong port, or if the board could
+    answer but does not. A running service may report that too. The exit code is also 1 if --end-service is not allowed
+    here.
     """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -132,8 +132,8 @@ NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask a running service to stop. If the user has named a port, this asks every service that may use this port,
-    whatever its name is. Otherwise it asks the service with the name of this order."""
+    """Ask a running service to stop the robot. If the user has named a port, this asks every service that may use this
+    port, whatever its name is. Otherwise it asks the service with the name of this order."""
     try:
         target = order.target
         device = target.wanted()
@@ -144,8 +144,8 @@ def _ask_services(order: Order) -> Outcome:
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask these services one after the other until one has stopped. `device`: ask only services that use this port;
-    empty for any port."""
+    """Ask these services one after the other until one has stopped the robot. `device`: ask only services that use this
+    port; empty for any port."""
     # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
@@ -208,8 +208,8 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """Ask a service of this name that was not running before, but is now. It is asked only once. Returns a list with
-    the exit code if the service has stopped, else an empty list."""
+    """If a service of this name has been started meanwhile, ask it to stop the robot. It is asked only once. Returns a
+    list with the exit code if the service has stopped the robot, else an empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -235,7 +235,7 @@ def _end(target: Target, start_s: float) -> int:
 
 
 def _every_service(reason: str, who: str) -> int:
-    """Ask every running service to stop. Returns 1 if one of them is not known to have stopped."""
+    """Ask every running service to stop its robot. Returns 1 if one of them is not known to have done so."""
     from failstop.api import ask
 
     # First stop all of them, and then print, because printing may be delayed.
@@ -270,9 +270,9 @@ class Target:
         self._known = ("", 0)
         """The port that a running service reports, and the user of that service."""
         self.asked: list[str] = []
-        """The services that were asked to stop, but are not known to have stopped."""
+        """The services that were asked to stop the robot, but are not known to have done so."""
         self.unproved = False
-        """True if a service has stopped, but there is a reason to think that the wheels have not."""
+        """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
         """The port to which the stop was written instead, because the port of the last run does not exist; and the uid
         of the user whose file names this port."""

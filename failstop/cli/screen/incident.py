@@ -47,7 +47,7 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
     """The lines about one incident: the facts, and the important part of the story, short enough to need no scrolling.
-    With `whole` it is the whole story, with the circumstances. `clock`: why the times of day in this incident may be
+    With `whole`, they have the whole story and the circumstances. `clock`: why the times of day in this incident may be
     wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [

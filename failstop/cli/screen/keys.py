@@ -89,9 +89,9 @@ class Hold:
         self.active = False
         """True while a motion key is held."""
         self.jerks = False
-        """True if the wheels stop shortly each time a key is pressed, because the terminal repeats the key for the
-        first time only after the command has expired. This is known only after a second repeat, because a person who
-        taps twice looks the same until then."""
+        """True if the wheels stop for a moment after each press, although the key is held. This happens if the terminal
+        repeats the key for the first time only after the command has expired. It is known only after a second repeat,
+        because a person who taps twice looks the same until then."""
         self._until_s = 0.0
         """When the held key counts as released, unless it is repeated before (same clock as `now_s`)."""
         self._last = ("", 0.0)
