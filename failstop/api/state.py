@@ -381,8 +381,8 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """Make an object from a record whose values have the same names as the object's fields. `known` has more values.
-    Times are converted to s."""
+    """Make an object from a record whose values have the same names as the object's fields. The values in `known` are
+    added. Times are converted to s."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:

@@ -66,7 +66,7 @@ MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
 MOST_REPORTED = 4
-"""The most wheels of a board that reports which command it obeys."""
+"""The most wheels that a board can have if it reports which command it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -343,8 +343,8 @@ REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
 """The reply to a client's request. Its values are the client's session; the number of the request; DONE, REFUSED or
-UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 for another reason or none; the text; and the packed
-cause whose text replaces CAUSE in the text."""
+UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 for another reason or none; the text of the reply; and
+the packed cause whose text replaces CAUSE in it."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )

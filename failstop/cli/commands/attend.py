@@ -51,7 +51,7 @@ class Questions:
         self._number = 0
         self._rest = b""
         self.proven_ns = 0
-        """When the newest question that was answered was asked (CLOCK_MONOTONIC, ns); 0 if none was answered yet."""
+        """The time of the newest question that has an answer (CLOCK_MONOTONIC, ns). 0 if there is no answer yet."""
 
     def ask(self, now_ns: int, row: int) -> str:
         """Make the next question, as text to write to the terminal."""

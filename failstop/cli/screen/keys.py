@@ -100,8 +100,8 @@ class Hold:
         """True if the last key came as late as a late first repeat does."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """The command for these keys, or for no keys at this time. Each axis is between -1 and 1. Returns None if no
-        command must be sent."""
+        """The command to send after these keys were typed. `keys` is empty if none was typed. Each axis is between -1
+        and 1. Returns None if no command must be sent."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()
