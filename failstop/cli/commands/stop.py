@@ -249,9 +249,10 @@ def _every_service(reason: str, who: str) -> int:
 
 
 class Target:
-    """Decides to which port the stop is written, and for how long to try. An option comes first, then the port of the
-    last run, then the settings file, then the default. The file is read only if it is needed, and only the settings for
-    the stop are checked, because a mistake in another setting must not prevent the stop."""
+    """Decides to which port the stop is written, and for how long to try. An option comes first, including the port in
+    a file given with --config. Then come the port that a running service reports, the port of the last run, the
+    installed settings file, and the default. The file is read only if it is needed, and only the settings for the stop
+    are checked, because a mistake in another setting must not prevent the stop."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Check the options. Raises SettingError."""
