@@ -1,7 +1,7 @@
 """Events: what the service reports to people, in order. A program can read these events from the running service:
 
-    for event in EventLog("failstop").read():
-        print(event.t, event.kind, event.text)
+for event in EventLog("failstop").read():
+    print(event.t, event.kind, event.text)
 """
 
 from __future__ import annotations
