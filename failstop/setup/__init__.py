@@ -1,2 +1,2 @@
-"""Setup: a conversation in a terminal that begins with the board's cable and ends with a robot whose stops were
+"""Setup: a conversation in a terminal. It starts with the board's cable and ends with a robot whose stops have been
 tested."""

@@ -1,5 +1,5 @@
-"""Boards: find out which board answers at a port, and show what it reports. It writes a stop first and moves
-nothing."""
+"""Boards: finds out which board is connected to a port, and shows what the board reports. It sends the board a stop
+first, and turns no wheel."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ ASK_S = 0.1
 
 
 def kind_check(answer: str) -> str:
-    """Check an answer that must be a kind of board. Raises NotAnAnswer."""
+    """Check that the answer is a kind of board, or the path of a folder with your own board. Raises NotAnAnswer."""
     if answer in BOARDS or is_own(answer):
         return answer
     raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of your own board's folder")
 
 
 def can_id_check(answer: str) -> str:
-    """Check an answer that must be the CAN id of a second motor's controller, or none. Raises NotAnAnswer."""
+    """Check that the answer is a CAN id, or the word none. The question is asked about the controller of a second
+    motor. Raises NotAnAnswer."""
     text = answer.strip().lower()
     if text == NONE or (text.isdigit() and int(text) <= HIGHEST_CAN_ID):
         return text
@@ -38,7 +39,8 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """The second step. Returns the board's kind, and those of its settings that are not the usual ones. Raises Left."""
+    """The second step of the setup: the board. Returns the board's kind, and the settings in which this board differs
+    from the defaults. Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
@@ -86,8 +88,8 @@ def _has_can(kind: str) -> bool:
 
 
 def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
-    """Ask about the second motor, which does not answer under the usual CAN id. Returns its setting. Raises Left,
-    OSError."""
+    """Ask a person for the CAN id of the second motor's controller, because no controller answered at the usual id.
+    Returns the setting with that id, or nothing if the robot has only one motor. Raises Left, OSError."""
     talk.say(f"The controller at the port answers, but no second one answers at CAN id {USUAL_CAN_ID}.")
     question = f"What is the CAN id of the second one? (VESC Tool shows it; {NONE}: there is only one motor)"
     answer = talk.ask("can_id", question, "", can_id_check)
@@ -101,7 +103,7 @@ def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
 
 
 def _live(talk: Talk, fd: int, board: Board) -> None:
-    """Show the board's reports for a moment."""
+    """Watch the board for LIVE_S, then show its battery voltage and how often it reports."""
     set_speed(fd, board.port)
     tap = Tap(fd, board)
     counts = {HEARD_IMU: 0, HEARD_WHEELS: 0, HEARD_BATTERY: 0}

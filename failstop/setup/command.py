@@ -50,16 +50,17 @@ QUESTIONS = {
     "file": "where to write the settings",
     "replace": "replace: overwrite the file if it exists (a copy of the old file is kept)",
 }
-"""Every question, with the help text of its option."""
+"""All questions of the setup. Each key is a question, and its text is the help of the option that answers it."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
-"""The remedy for each verdict of a stand test that did not pass."""
+"""What to do if a stand test did not pass, for each verdict that has a remedy of its own. For other verdicts, ROWS_SAY
+is shown."""
 UNMOVED = "no wheel was turned"
 NOTHING = "no settings were written"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop setup`."""
+    """Add the options of `failstop setup` to its parser."""
     for key, what in QUESTIONS.items():
         parser.add_argument(option(key), dest=key, metavar="ANSWER", help=what.replace("%", "%%"))
     parser.add_argument(
@@ -71,7 +72,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Hold the conversation. Raises Left, whose text says what is wrong and what to do."""
+    """Hold the whole conversation. Returns the exit code. Raises Left, whose text says what is wrong and what to do
+    next."""
     draft = Draft(instance.check_name(arguments.name), os.environ)
     if arguments.afresh:
         draft.forget()
@@ -95,7 +97,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
-    """Go through the steps. Appends a Halt, which stops this board's wheels, to `halts` once the board is known."""
+    """Go through the six steps. As soon as the board is known, a Halt for it is appended to `halts`, so that the caller
+    can see which stop was the newest."""
     style.show([[("failstop setup", style.STRONG), (": set up a robot and test its stops, in six steps", style.PLAIN)]])
     talk.say("Ctrl-C stops the wheels and quits, and keeps your answers. You see the settings before they are written.")
     _resume(talk)
@@ -127,7 +130,8 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
 
 
 def _resume(talk: Talk) -> None:
-    """Ask whether to go on with a setup that was left early."""
+    """If an earlier setup was left early, show its answers and ask whether to continue with them. If the person says
+    no, the answers are deleted."""
     answers = talk.draft.answers
     if not answers:
         return
@@ -141,12 +145,12 @@ def _resume(talk: Talk) -> None:
 
 
 def layouts_of(kind: str) -> list[str]:
-    """The kinds of base that this kind of board can drive."""
+    """The kinds of base that a board of this kind can drive."""
     return drivable(kind, speeds_of(kind) or board_of(kind, 1.0, 0.0).wheels)
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """Return the robot's name, its settings as far as they are known, and whether its sizes are known."""
+    """Ask which robot it is. Returns its name, the settings that are known for it, and True if its sizes are known."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER

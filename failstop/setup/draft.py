@@ -1,4 +1,4 @@
-"""Draft: the answers given so far, kept in a file until the setup is complete."""
+"""Draft: the answers that a person has given so far. A file keeps them until the setup is complete."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MOST_BYTES = 65536
 
 
 class Draft:
-    """The answers, by question. Every answer is on the disk before the next question is asked."""
+    """The answers, each with the key of its question. An answer is saved before the next question is asked."""
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
-        """`name`: the name of the service."""
+        """Reads the answers of an earlier setup, if there are any. `name`: the name of the service."""
         self.path = os.path.join(state_directory(name, environ), FILE)
         self.answers = self._read()
         self.unwritten = ""
-        """Why an answer could not be kept; empty if all are kept."""
+        """Why an answer could not be saved. It is empty while all answers are saved."""
 
     def _read(self) -> dict[str, str]:
         try:
@@ -35,12 +35,12 @@ class Draft:
         return {str(key): value for key, value in found.items() if isinstance(value, str)}
 
     def keep(self, key: str, answer: str) -> None:
-        """Add an answer."""
+        """Add an answer, and save it."""
         self.answers[key] = answer
         self._write()
 
     def forget(self, *keys: str) -> None:
-        """Remove the answers to these questions; without arguments, all answers."""
+        """Delete the answers to these questions. Without arguments, delete all answers."""
         for key in keys or tuple(self.answers):
             self.answers.pop(key, None)
         self._write()

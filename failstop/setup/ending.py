@@ -1,5 +1,5 @@
-"""Ending: makes sure that a program that turns wheels through its own service stops them before it ends, whatever ends
-it. The laboratory's programs use it too."""
+"""Ending: for a program that turns wheels through its own service. It makes sure that the program stops the wheels
+before it exits, even if a signal ends it. The laboratory's programs use it too."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Within this context a lost terminal or a SIGTERM ends the program in the same way as Ctrl-C does, so that the
-    wheels are stopped first."""
+    """Within this context, SIGTERM and a lost terminal (SIGHUP) end the program the way Ctrl-C does. So the program
+    stops the wheels before it exits."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -33,8 +33,8 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within this context these signals are ignored, because a program that is interrupted while it ends might leave
-    the wheels turning."""
+    """Within this context, SIGINT, SIGTERM and SIGHUP are ignored. Use it around the cleanup: if a signal interrupted
+    the cleanup, the wheels might keep turning."""
     held = {number: signal.getsignal(number) for number in SIGNALS}
     for number in held:
         signal.signal(number, signal.SIG_IGN)
@@ -47,8 +47,8 @@ def uninterrupted() -> Iterator[None]:
 
 @contextlib.contextmanager
 def noted() -> Iterator[list[int]]:
-    """Within this context these signals interrupt nothing. The number of each signal that arrives is added to the list
-    that is yielded."""
+    """Within this context, SIGINT, SIGTERM and SIGHUP interrupt nothing. Instead, the number of each signal is added to
+    the list that the context yields."""
     found: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
@@ -64,8 +64,8 @@ def noted() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def arrivals() -> Iterator[int]:
-    """A descriptor that can be read once a signal has arrived. A wait that includes it misses none: a signal that
-    arrives just before a plain read() interrupts nothing, and its handler runs only when the read returns."""
+    """Yields a descriptor that becomes readable when a signal arrives. Wait on it together with your input. A plain
+    read() can miss a signal that arrives just before it: the signal's handler then runs only when the read returns."""
     reads, writes = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     before = signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
     try:
@@ -77,6 +77,6 @@ def arrivals() -> Iterator[int]:
 
 
 def end_with_parent() -> None:
-    """Call it in the child, before exec: the child gets SIGTERM when the parent dies. The supervisor then stops the
-    wheels and ends."""
+    """Make this process get SIGTERM when its parent dies. Call it in the child, before exec. Setup starts its
+    supervisor this way, so the supervisor stops the wheels if setup dies."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

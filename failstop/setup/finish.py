@@ -1,4 +1,4 @@
-"""Finish: the last steps of the setup, from the board's own watchdog to the commands to type next."""
+"""Finish: the last steps of the setup, from the test of the board's own watchdog to the commands that you type next."""
 
 from __future__ import annotations
 
@@ -36,19 +36,20 @@ from failstop.setup.rig import toml
 from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
 
 CONSENT = "spin\n"
-"""The answer that `failstop prove` asks for before it turns the wheels."""
+"""The word that `failstop prove` wants to read before it turns the wheels."""
 FROZEN = "frozen"
 GIVES_UP = 3
-"""At this signal a command that hangs is killed. The first Ctrl-C ends the stand test, and the second ends its waiting
-for a board that is unplugged."""
+"""The number of the signal at which a hanging command is killed. The first Ctrl-C ends the stand test. If the board is
+unplugged, the test then waits for it, and the second Ctrl-C ends this waiting. So the third one kills."""
 REPLACE = "replace"
 NOT_YET = "service"
-"""The check of the service, which is left out because the service is started only afterwards."""
+"""The name of a check of the doctor, which setup leaves out. The check wants a running service, but the service is
+started only after the setup."""
 RESULT = "result.json"
 
 
 def watchdog(talk: Talk, kind: str) -> None:
-    """The fifth step: the board's own watchdog."""
+    """The fifth step of the setup: tell the person what the board's own watchdog does, or that the board has none."""
     talk.step(5, "The board's own watchdog")
     seconds, does = watchdog_of(kind)
     if not seconds:
@@ -62,8 +63,9 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
-    """The sixth step: the short stand test with these settings. Returns its evidence, or nothing if the test was not
-    made. If a person or a signal ends the test, `halt` stops the wheels."""
+    """The sixth step of the setup: run the short stand test with these settings. Returns the evidence of the test, or
+    an empty dict if it was not made. If a person or a signal ends the test, `halt` stops the wheels, and
+    KeyboardInterrupt is raised."""
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
@@ -100,9 +102,13 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
 
 
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
-    """Run a command to its end. Returns its exit code, and True if a signal must end this program too. Ctrl-C at the
-    terminal reaches the command by itself, and other signals are passed on. The command stops the wheels before it
-    ends, so this waits for it; but the last of GIVES_UP signals kills a command that hangs."""
+    """Run a command until it exits. `said` is written to its input. Returns its exit code, and True if a signal has
+    arrived, after which this program must exit too.
+
+    The command stops the wheels before it exits, so this function waits for it. Ctrl-C reaches the command directly
+    from the terminal. Other signals are passed on as SIGTERM. At signal number GIVES_UP the command is killed, because
+    it must hang.
+    """
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
     signals = 0
@@ -132,7 +138,8 @@ def _runs(folder: str) -> set[str]:
 
 
 def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
-    """The text of the settings file."""
+    """The text of the settings file: a head that names the robot and the result of its stand test, then the
+    settings."""
     day = time.strftime("%Y-%m-%d")
     proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
     head = f"# {robot}. Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
@@ -141,7 +148,7 @@ def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) 
 
 
 def write(talk: Talk, made: str, name: str) -> str:
-    """Show the settings, and write them where the person says. Returns the path. Raises Left."""
+    """Show the settings, ask for a path, and write the settings to it. Returns the path. Raises Left."""
     style.show([[], [("The settings", style.STRONG)]])
     style.show([[(f"   {line}", style.PLAIN)] for line in made.splitlines()])
     style.show([[]])
@@ -180,16 +187,16 @@ def write(talk: Talk, made: str, name: str) -> str:
 
 
 def _replace(answer: str) -> str:
-    """Check the answer to whether a file may be replaced. It must be the whole word, because a yes is typed too easily.
-    Raises NotAnAnswer."""
+    """Check the answer to the question whether an existing file may be replaced. The whole word must be typed, because
+    a yes is typed too easily. Raises NotAnAnswer."""
     if answer.strip() not in (REPLACE, NO):
         raise NotAnAnswer(f"type the whole word {REPLACE}, or {NO}")
     return answer.strip()
 
 
 def _keep(path: str) -> str:
-    """Give a file a second name, FILE.old or the first FILE.old.N that is free, so that it outlives its replacement;
-    returns that name. Raises OSError."""
+    """Keep a file that is about to be replaced, by giving it a second name: FILE.old, or the first FILE.old.N that is
+    free. Returns the second name. Raises OSError."""
     for number in itertools.count(1):
         kept = f"{path}.old" if number == 1 else f"{path}.old.{number}"
         with contextlib.suppress(FileExistsError):
@@ -207,7 +214,7 @@ def _differ(talk: Talk, path: str, made: str) -> None:
 
 
 def doctor(talk: Talk, path: str, device: str, name: str) -> None:
-    """Show what the doctor finds wrong with this computer."""
+    """Run the doctor's quick checks, and show only the problems that they find on this computer."""
     style.show([[], [("This computer, checked by `failstop doctor --quick`", style.STRONG)]])
     looked = table.examine(Look(name, path, device, True))
     found = [row for row in looked if row[1].level in (FAIL, WARN) and row[0] != NOT_YET]
@@ -217,8 +224,8 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
 def closing(
     talk: Talk, path: str, name: str, evidence: Mapping[str, Any], settings: Mapping[str, object] | None = None
 ) -> None:
-    """Sum up: what is proved and what is not, and the commands to type next. With `settings`, offer the guard port too,
-    if the board has one."""
+    """Print the summary: what is proved, what is not proved, and the commands to type next. With `settings`, it also
+    shows how to use the guard port, if failstop has one for this board."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
@@ -241,7 +248,7 @@ def closing(
 
 
 def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
-    """Offer the guard port, if this board has one."""
+    """Show how to use the guard port, if failstop has one for this board."""
     if language_of(settings.text("board.kind"), settings.flat()) is None:
         return
     style.show([[], [("Your own driver", style.STRONG)]])
@@ -261,14 +268,15 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """The command that proves the robot with the settings at `path`. Without the option for them, it would use the
-    installed settings, or none."""
+    """The command that tests this robot on its stand. It names the file at `path`, unless that file is the installed
+    one, because the command would otherwise read the installed settings or find none."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 
 
 def commands(path: str, name: str) -> list[str]:
-    """The commands to type next."""
+    """The commands that start the service, enable motion, and drive the robot. The person types them after the
+    setup."""
     installed = config.installed(name)
     where = option(name)
     start = f"sudo systemctl enable --now {unit_of(name).removesuffix('.service')}"

@@ -1,8 +1,9 @@
-"""Halt: stop the wheels from a program of failstop's own, and find out whether they are stopped.
+"""Halt: stops the wheels without a service, and finds out whether they have stopped. Programs of failstop use it when
+their own service has ended.
 
-It writes the board's stop to the port itself, without a service. Then it asks the board whether it has got the stop,
-and reads what the board reports about its wheels. While the port is unplugged, it says so, waits, and writes the stop
-as soon as the port is back.
+It writes the board's stop directly to the port. Then it asks the board whether the stop has arrived, and reads what the
+board reports about its wheels. If the port is unplugged, it tells the person, waits, and writes the stop as soon as the
+port is back.
 """
 
 from __future__ import annotations
@@ -21,45 +22,48 @@ from failstop.procs.telemetry.readback import ReadBack
 from failstop.setup.ending import noted
 
 FREE_S = 5.0
-"""For how long to keep trying if an existing port refuses the stop, s, because another process may be about to close
-it."""
+"""How long to keep trying, s, if the port exists but refuses the stop. Another process may be about to close the
+port."""
 WAITS_S = 300.0
-"""For how long to wait for a port that is unplugged, s."""
+"""How long to wait for an unplugged port, s."""
 SETTLES_S = 0.3
-"""A port must be gone for this long, s, before that is reported, because a port that is just being opened again is gone
-for a moment."""
+"""How long a port must be missing before this is reported, s. A port that is being opened again is missing for a moment
+only."""
 RETRY_S = 0.02
 WRITES = 5
-"""How often a stop is written to a board that can't confirm one, because a single stop may be lost on the line."""
+"""How many times a stop is written to a board that can't confirm it, because one stop alone may be lost on the line."""
 APART_S = 0.1
 STALE_S = 0.03
-"""For how long answers to the questions of earlier programs may still arrive, s."""
+"""How long answers to an earlier program's questions may still arrive, s."""
 ANSWERS_S = 0.25
-"""How long one answer may take before the stop and the question are repeated."""
+"""How long to wait for one answer, s. Then the stop and the question are sent again."""
 CONFIRMS_S = 1.5
-"""How long the board may take to answer, with all repeats, s."""
+"""How long to wait for the board's answer in total, s, including all repeats."""
 RESTS_S = 5.0
-"""How long turning wheels may take to come to rest, s."""
+"""How long to wait until turning wheels are at rest, s."""
 REST_S = 0.2
-"""For how long the board must report that the wheels are at rest, s."""
+"""How long the board must report wheels at rest before this is believed, s."""
 REPORTS_S = 1.0
-"""If a board has sent no report within this time, s, it counts as one that reports nothing."""
+"""How long to wait for the board's first report about its wheels, s. A board that sends none in this time counts as one
+that never reports."""
 ASK_S = 0.05
 TURN_S = 0.005
 WAITING = f"{{}} is unplugged: {MAY_TURN}. Plug it in again, and the stop is written at once; Ctrl-C ends the waiting."
 
 
 class Halt:
-    """Stops one board at one port. `last` is its newest outcome; None: it has not stopped anything yet."""
+    """Stops the wheels of one board at one port. `last` is the outcome of the newest stop, or None before the first
+    stop."""
 
     def __init__(self, path: str, board: Board, say: Callable[[str], None]) -> None:
-        """`say` prints a line for the person at the terminal."""
+        """`path`: the port. `say` prints a line for the person at the terminal."""
         self._path, self._board, self._say = path, board, say
         self.last: Halted | None = None
 
     def now(self, waits_s: float = WAITS_S) -> Halted:
-        """Stop the wheels, and find out whether they are stopped. It raises nothing. It waits up to `waits_s` for a
-        port that is unplugged. Ctrl-C, SIGTERM and SIGHUP end only that waiting."""
+        """Stop the wheels, and find out whether they have stopped. It raises nothing, because the result describes each
+        failure. If the port is unplugged, it waits up to `waits_s` for it. Ctrl-C, SIGTERM and SIGHUP end only this
+        waiting."""
         with noted() as signals:
             self.last = self._stop(waits_s, signals)
         return self.last
@@ -81,16 +85,16 @@ class Halt:
                 return Halted(self._path, written=written, there=there, why=why, confirms=written)
             if not (there or waiting) and waited_s >= SETTLES_S:
                 waiting = True
-                signals.clear()  # those came before there was anything to wait for
-                with contextlib.suppress(OSError, ValueError):  # the terminal may have gone
+                signals.clear()  # signals that came before the waiting must not end it
+                with contextlib.suppress(OSError, ValueError):  # the terminal may be closed
                     self._say(WAITING.format(self._path))
             time.sleep(RETRY_S)
 
     def _asked(self) -> Halted:
-        """Ask the board whether it has got the stop, and wait until it reports its wheels at rest. Raises PortError, or
-        OSError if the port goes away in the meantime."""
+        """Ask the board whether the stop has arrived, then wait until the board reports wheels at rest. Raises
+        PortError, or OSError if the port disappears meanwhile."""
         board = self._board
-        confirms = bool(board.pings)  # a board that only reports what it obeys reports zero without hearing a stop too
+        confirms = bool(board.pings)  # other boards report zero speed even if they never heard the stop
         fd = open_port(self._path, exclusive=False, line=board.port)
         try:
             tap = Tap(fd, board)
@@ -104,7 +108,8 @@ class Halt:
         return Halted(self._path, written=True, confirms=confirms, confirmed=confirmed, still=still)
 
     def _confirmed(self, tap: Tap) -> bool:
-        """True if the board has answered a question that followed a stop. Stops and questions are repeated."""
+        """True if the board has answered a question that was sent after a stop. The stop and the question are repeated
+        until the board answers, or until the time is up."""
         deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
         hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:
@@ -125,13 +130,13 @@ class Halt:
 
 
 def _still(tap: Tap, board: Board) -> bool | None:
-    """True once the board has reported for long enough that its wheels are at rest, False if it has not; None if it
-    reports nothing about its wheels. Raises OSError."""
+    """Wait until the board reports wheels at rest. Returns True once it has reported this for REST_S, False if the
+    wheels did not come to rest in time, and None if the board reports nothing about its wheels. Raises OSError."""
     read_back = ReadBack()
     begun_s = now_s = time.monotonic()
     ask_s = 0.0
     while now_s - begun_s < (RESTS_S if read_back.judged_ns else REPORTS_S):
-        if board.ping_ns and now_s >= ask_s:  # such a board reports its wheels when it is asked
+        if board.ping_ns and now_s >= ask_s:  # this board reports its wheels only when asked
             ask_s = now_s + ASK_S
             with contextlib.suppress(BlockingIOError):
                 tap.ping()

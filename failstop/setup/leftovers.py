@@ -1,8 +1,8 @@
-"""Leftovers: removes what a service leaves when it is killed, if it had a name that was made for one use.
+"""Leftovers: removes the files and the shared memory of killed services whose names were made for one use.
 
-When a service is started again, it finds and removes what its last run has left. But nobody starts `setup-4711` again.
-So the next program that makes such a service removes what earlier ones have left: shared memory, the runtime folder,
-and a folder for its files.
+Usually a service removes what its last run has left when it is started again. But nobody starts a service named
+`setup-4711` again. So the next program that starts such a service removes what earlier ones have left: shared memory,
+the runtime folder, and a folder for files.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from failstop.messages import segments
 
 
 def folder(name: str) -> str:
-    """Make a folder for the files of the service `name`. It can be found again by that name. Raises OSError."""
+    """Make a folder for the files of the service `name`, and return its path. The folder's name contains `name`, so
+    that remove_ended() can find it. Raises OSError."""
     return tempfile.mkdtemp(prefix=f"{_folders_of(name)}")
 
 
 def remove(name: str) -> None:
-    """Remove the shared memory and the runtime folder of a service that has ended."""
+    """Remove the shared memory and the runtime folder of a service. Call it after the service has ended."""
     for run in segments.dead_runs(name):
         segments.unlink_all(run)
     for path in instance.places(name):
@@ -31,8 +32,8 @@ def remove(name: str) -> None:
 
 
 def remove_ended(prefix: str) -> None:
-    """For every name of the form `prefix` + PID of this user: if the process PID and the service have ended, remove
-    what they have left."""
+    """Clean up after services of this user that were named `prefix` + PID. If both the process PID and the service have
+    ended, everything that the service left is removed."""
     names = {name.removeprefix("failstop.").partition(".")[0] for name in _listed(segments.SHM, "failstop.")}
     for base in instance.bases():
         names.update(_listed(base, prefix))
@@ -44,7 +45,7 @@ def remove_ended(prefix: str) -> None:
         if not (name.startswith(prefix) and pid.isdecimal()) or os.path.exists(f"/proc/{pid}"):
             continue
         paths = [path for path in instance.places(name) if os.path.exists(path)]
-        # A container's process has another number here, so the service itself is asked too.
+        # A process in a container has another PID here, so check whether the service is running, too.
         if any(_is_another_s(path) or instances.running(path) or instances.holder(path) for path in paths):
             continue
         remove(name)
@@ -55,7 +56,7 @@ def remove_ended(prefix: str) -> None:
 
 
 def _folders_of(name: str) -> str:
-    # The dot ends a whole name: without it setup-12 would have the folders of setup-123.
+    # The dot marks the end of the name. Without the dot, setup-12 would match the folders of setup-123 too.
     return f"failstop-{name}." if name[-1:].isdecimal() else f"failstop-{name}"
 
 

@@ -1,4 +1,5 @@
-"""Ports: finds the board's port, and what keeps this user from using it, with the remedy."""
+"""Ports: finds the board's port. If something keeps this user from using the port, it shows the reason and the
+remedy."""
 
 from __future__ import annotations
 
@@ -21,17 +22,17 @@ UNPLUG = "unplug"
 OTHER_PATH = "or the path of another port"
 NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
 BY = "/dev/serial"
-"""The folders with udev's names for serial ports: by-id names are made from what a device reports about itself, by-path
-names from the socket in which it is plugged."""
+"""The folder of udev's names for serial ports. In its folder by-id, the names are made from what a device reports about
+itself. In by-path, they are made from the socket into which the device is plugged."""
 COMES_S = 10.0
-"""How long it may take until a board that was plugged in appears, s."""
+"""How long to wait for the port of a board that was just plugged in, s."""
 LOOK_S = 0.1
 ENDS_S = 5.0
 RASPBERRY = "Raspberry Pi"
 
 
 def listed(system: System) -> dict[str, str]:
-    """The path of each port at which the board may be, with a description."""
+    """The ports to which the board may be connected: for each path, a description for people."""
     own = {usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}
     found = {}
     for path, what in system.ports(own):
@@ -45,14 +46,16 @@ def listed(system: System) -> dict[str, str]:
 
 
 def nodes() -> set[str]:
-    """The serial devices that exist now."""
+    """The paths of all serial devices that exist at this moment."""
     return {path for pattern in NODES for path in glob.glob(pattern)}
 
 
 def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
-    """A name for the port that stays the same after a replug, if there is one. The link of the udev rule depends on the
-    chip, and a by-id name on what the device reports about itself, so such a name is not used if another device would
-    have it too."""
+    """A path for the port that stays the same when the board is plugged in again, or `path` itself if there is none.
+
+    The udev rule names the port after its chip, and by-id after what the device reports about itself. A second device
+    of the same kind could get either name. So a name is used only if no other device could get it.
+    """
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)
     except OSError:
@@ -64,7 +67,8 @@ def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
 
 
 def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float = COMES_S) -> str:
-    """The port that disappears when the board is unplugged, and comes back when it is plugged in again. Raises Left."""
+    """Find the board's port by unplugging the board. Returns the port that comes back when the board is plugged in
+    again. Raises Left if not exactly one port disappears, or if none comes back."""
     before = set(look())
     talk.ask("unplugged", "Pull the board's USB cable now, then press Enter.", "done", keep=False)
     gone = before - set(look())
@@ -83,15 +87,15 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
 
 
 def is_serial(path: str) -> bool:
-    """True if a device is a terminal of a kernel driver, as far as the kernel tells. It tells nothing about a
-    pseudo-terminal."""
+    """True if the device is a serial port, as far as the kernel shows. It is also True for a pseudo-terminal, about
+    which the kernel shows nothing."""
     number = os.stat(path).st_rdev
     subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
     return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
 
 
 def choose(talk: Talk, system: System) -> str:
-    """Ask the person for the board's port. Raises Left."""
+    """Ask the person which port the board is connected to, and return its path. Raises Left."""
     found = {} if talk.known("port") else listed(system)
     for number, (path, what) in enumerate(found.items(), 1):
         talk.say(f"{number}  {path}   {what}")
@@ -122,7 +126,7 @@ def choose(talk: Talk, system: System) -> str:
     default = next(iter(found)) if len(found) == 1 else ""
     question = f"Which port is the board at? ({numbers}; {UNPLUG}: find it by unplugging it)"
     while (path := talk.ask("port", question, default, check)) == UNPLUG:
-        talk.draft.forget("port")  # that was no port yet
+        talk.draft.forget("port")  # the word `unplug` was saved as the answer, but is no port
         try:
             path = went(talk)
         except Left as error:
@@ -137,7 +141,8 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """Reasons why the serial pins of a small computer can't be used as a port."""
+    """Why the serial pins of a Raspberry Pi can't be used as a port, with the remedy. The list is empty if they can be
+    used, and on other computers."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
         advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
@@ -146,7 +151,7 @@ def pins(system: System) -> list[Finding]:
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """Reasons why failstop can't open this port, or can't have it to itself."""
+    """Why failstop can't open this port, or can't have it for itself. The list is empty if it can."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
@@ -159,7 +164,8 @@ def _say(talk: Talk, row: Finding) -> None:
 
 
 def _let_end(path: str, system: System) -> None:
-    """Wait for the service of a setup that was killed, because that service is still stopping the wheels."""
+    """If an earlier setup was killed, its service may still be stopping the wheels at this port. Wait up to ENDS_S for
+    it."""
     until_s = time.monotonic() + ENDS_S
     real = os.path.realpath(path)
     while any(holder.instance.startswith(RIG) for holder in system.holders(real)[0]) and time.monotonic() < until_s:
@@ -167,7 +173,7 @@ def _let_end(path: str, system: System) -> None:
 
 
 def step(talk: Talk, system: System) -> str:
-    """The first step: the port. Raises Left."""
+    """The first step of the setup: the port. Returns its path. Raises Left."""
     talk.step(1, "The port")
     path = choose(talk, system)
     try:

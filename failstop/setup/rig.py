@@ -1,7 +1,8 @@
-"""Rig: a service that runs only during one step, with the settings that are being made.
+"""Rig: a service that runs during one step of the setup only, with the settings made so far.
 
-Setup turns wheels only through such a service, so everything that stops a robot stops this one too. To turn a single
-wheel, it uses settings with which the kinematics of the base turn only that wheel, so the gate needs no special code.
+Setup turns wheels only through this service, so everything that stops a robot also stops the robot during setup. To
+turn one wheel alone, the rig uses settings and a velocity that move only this wheel. So the gate needs no special code
+for setup.
 """
 
 from __future__ import annotations
@@ -30,29 +31,34 @@ from failstop.setup.halt import Halt
 from failstop.setup.talk import Left
 
 RIG = "setup-"
-"""How the name of the service begins."""
+"""The prefix of the service's name."""
 READY_S = 15.0
 GONE_S = 1.0
-"""A port that is gone for this long, s, counts as unplugged. One that is being opened again is gone only for a
-moment."""
+"""How long a port must be missing to count as unplugged, s. A port that is being opened again is missing for a moment
+only."""
 END_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
-"""A power of two, so that forward and turn cancel exactly on one side, at every moment of their ramps."""
+"""The distance from the robot's middle to each wheel, m. It is a power of two, so that on one side the forward speed
+and the turning speed cancel exactly at every moment of their ramps."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
-"""On a busy machine the gate may publish this much later that motion is enabled, s."""
+"""How much later than the answer to enable() the gate may publish that motion is enabled, s. It is this late only on a
+busy machine."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 
 Velocity = tuple[float, float, float]
 
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
-    """Returns the settings and the velocity with which only the wheel of this id turns, in the direction that its
-    motor's wiring makes forward. `speeds`: how many speeds a frame of the board has; with four, the board must have ids
-    for at least three wheels."""
+    """Returns settings and a velocity with which only the wheel with this id turns. The wheel turns in the direction
+    that is forward for its motor's wiring.
+
+    `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
+    speeds, the board must have ids for at least three wheels.
+    """
     base: dict[str, object] = {
         "board.kind": kind,
         "wheels.diameter_m": diameter_m,
@@ -76,13 +82,13 @@ def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -
 
 
 def rim_mps(rps: float, diameter_m: float) -> float:
-    """The speed at the rim of a wheel of this diameter at this many turns per second, m/s."""
+    """The speed of a wheel's rim, m/s, at this many turns per second."""
     return rps * pi * diameter_m
 
 
 def toml(values: Mapping[str, object]) -> str:
-    """A settings file with these values. Each line has the whole key, so that a line can be added anywhere. All texts
-    must be printable."""
+    """The text of a settings file with these values. Each line has the whole key, so that a person can add a line
+    anywhere. All texts must be printable."""
     groups: dict[str, list[str]] = {}
     for key, value in values.items():
         groups.setdefault(key.rpartition(".")[0], []).append(f"{key} = {json.dumps(value)}\n")
@@ -90,11 +96,12 @@ def toml(values: Mapping[str, object]) -> str:
 
 
 class Rig:
-    """A service for one step; a context manager. At its end it stops the wheels, whatever happens, and raises Left
-    unless they are stopped."""
+    """A service for one step of the setup. Use it as a context manager: at the end it stops the wheels, however the
+    step ends, and raises Left if they may still turn."""
 
     def __init__(self, device: str, values: Mapping[str, object], halt: Halt) -> None:
-        """`halt` stops the wheels once the service has ended. Raises SettingError."""
+        """`device`: the board's port. `values`: the settings. `halt` stops the wheels after the service has ended.
+        Raises SettingError."""
         self._values = {**values, **OVERRIDES}
         settings = config.checked(dict(self._values))
         self._board = board_of(*settings.board())
@@ -106,11 +113,12 @@ class Rig:
         self._robot: Robot | None = None
         self._drove = False
         self.turned: dict[int, float] = {}
-        """For each wheel's id, the largest speed that the board has reported, in the unit of its motion. If the board
-        reports positions instead: 1 or -1, the direction of the change. Empty if nothing was reported."""
+        """The fastest speed that the board has reported for each wheel id, with its sign, in the board's unit. If the
+        board reports positions instead, this is the direction of the change: 1, -1, or 0 if the position has not
+        changed. Empty if the board reported nothing."""
         self.moved: dict[int, float] = {}
-        """For each wheel's id, how far its position has changed in either direction, in the board's counts. Empty if
-        the board reports no positions."""
+        """How far the position of each wheel id has changed, in the board's counts, without a sign. Empty if the board
+        reports no positions."""
 
     def __enter__(self) -> Rig:
         try:
@@ -140,7 +148,7 @@ class Rig:
                 stderr=log,
                 env={**os.environ, "STATE_DIRECTORY": self._folder},
                 preexec_fn=end_with_parent,
-                # Ctrl-C is setup's own, which ends this in order.
+                # Ctrl-C must reach setup only, which then ends this service cleanly.
                 start_new_session=True,
             )
         there_s = time.monotonic()
@@ -153,7 +161,7 @@ class Rig:
             if self._process.poll() is not None:
                 if there:
                     raise Left(f"the service did not start: {self._said()}")
-                # The service often notices an unplugged board first, and ends for it.
+                # The service may have exited because the board was unplugged. Look again whether the port is gone.
                 time.sleep(REPEAT_S)
                 continue
             with contextlib.suppress(FailstopError):
@@ -167,7 +175,8 @@ class Rig:
                 raise Left(f"the service was not ready within {READY_S:g} s: {self._why() or self._said()}")
 
     def drive(self, velocity: Velocity, seconds: float) -> None:
-        """Drive for a while, then stop. Raises Left if nothing moves."""
+        """Drive at this velocity for `seconds`, then stop and wait until the wheels are stopped. Raises Left if
+        something keeps the robot from driving."""
         assert self._robot
         view = attach(self.name, layout.TELEMETRY).ring_reader("received")
         self._hearing.reset()
@@ -199,8 +208,8 @@ class Rig:
             self._hear(entry[2], places)
 
     def _stand(self) -> None:
-        """Stop, and wait until the board reports that it has stopped, because no question is asked while a wheel may
-        turn. Raises Left."""
+        """Stop, and wait until the board reports the stop, because people are asked about a wheel only when nothing
+        moves. Raises Left."""
         assert self._robot
         epoch = self._robot.state.epoch
 
@@ -234,7 +243,7 @@ class Rig:
             self.turned[id_] = float((way > 0) - (way < 0))
 
     def _why(self) -> str:
-        """Why the wheels are stopped, in a few words; empty if that is not known."""
+        """Why the wheels are stopped, in a few words. Empty if the reason is not known."""
         with contextlib.suppress(FailstopError):
             if self._robot:
                 state = self._robot.state
@@ -248,7 +257,7 @@ class Rig:
         return ""
 
     def close(self) -> None:
-        """Stop the wheels through the service, end the service, and then stop the wheels at the port itself."""
+        """Stop the wheels through the service, end the service, and then write a stop to the port itself."""
         with uninterrupted():
             self._end()
 

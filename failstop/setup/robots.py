@@ -1,8 +1,8 @@
-"""The robots that setup knows. Each is a file, robots/NAME.toml; to add a robot, add a file.
+"""The robots that setup knows. Each has a file, robots/NAME.toml. To add a robot, add a file.
 
-Keys that begin with `about.` are for people (name, port, remark); all others are settings. For robots of the family of
-`board.robot`, the file only names the robot, because the service has the figures. The file of a robot that people build
-in different sizes has no sizes, but `about.measure`, which says what to measure.
+Keys that begin with `about.` are for people (name, port, remark), and all other keys are settings. A robot in a family
+that `board.robot` names needs no sizes in its file, because the service knows them. If people build a robot in
+different sizes, its file has `about.measure` instead of sizes, which tells them what to measure.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from failstop.policy.setting import SettingError
 FOLDER = Path(__file__).with_name("robots")
 ABOUT = "about."
 OTHER = "other"
-"""The answer for a robot that no file describes."""
+"""The answer for a robot that has no file."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """A robot that setup knows."""
+    """A robot that setup knows, as its file describes it."""
 
     key: str
-    """The name of its file, without .toml."""
+    """The name of the robot's file, without .toml."""
     name: str
     port: str
     remark: str
     measure: str
-    """What people must measure, because no two such robots have the same sizes; empty if the sizes are known."""
+    """What a person must measure, because each such robot has its own sizes. Empty if the sizes are known."""
     settings: dict[str, object]
-    """The values of its settings, by whole key."""
+    """The robot's settings, each with its whole key, for example `wheels.layout`."""
 
     @property
     def kind(self) -> str:
-        """The kind of its board."""
+        """The kind of the robot's board."""
         return str(self.settings["board.kind"])
 
 
 def read(path: Path) -> Known:
-    """Read the file of one robot. Raises SettingError, which names the file."""
+    """Read a robot's file. Raises SettingError, which names the file."""
     values = config.read(str(path))
     about = {key.removeprefix(ABOUT): str(values.pop(key)) for key in list(values) if key.startswith(ABOUT)}
     if not about.get("name") or "board.kind" not in values or "wheels.layout" not in values:
@@ -51,6 +51,6 @@ def read(path: Path) -> Known:
 
 
 def of_kind(kind: str) -> dict[str, Known]:
-    """The robots with this kind of board, by their keys. Raises SettingError."""
+    """The robots that have this kind of board, each under its key, sorted by name. Raises SettingError."""
     found = [read(path) for path in sorted(FOLDER.glob("*.toml"))]
     return {robot.key: robot for robot in sorted(found, key=lambda robot: robot.name) if robot.kind == kind}

@@ -1,4 +1,4 @@
-"""Sizes and limits: asks for the robot's sizes and speed limits, and shows how far the robot then goes before it
+"""Sizes and limits: asks for the robot's sizes and speed limits. Then it shows how far the robot travels until it
 stops."""
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 
 
 def answer_key(key: str) -> str:
-    """The key of the question about a setting, for example track_m for `wheels.track_m`."""
+    """The key of the question about a setting, for example `track_m` for `wheels.track_m`."""
     return key.partition(".")[2]
 
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
-    """The fourth step. `known`: failstop knows this robot's sizes and offers them; otherwise it offers none. Raises
-    Left."""
+    """The fourth step of the setup: sizes and limits. If `known`, failstop knows this robot's sizes and offers them as
+    defaults. Otherwise it offers no sizes. Raises Left."""
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
@@ -49,7 +49,7 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
 
 
 def _asked(key: str) -> str:
-    """The question about a setting in one line: the first sentence of its text, and its unit."""
+    """The question about a setting, in one line: the first sentence of the setting's description, then its unit."""
     declared = declaration(key)
     return f"{declared.doc.partition('. ')[0]}, {declared.unit}"
 
@@ -67,5 +67,5 @@ OPTIONS = {
     answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
-"""The questions of this step, with the help text of each."""
+"""All questions of this step. Each key is a question, and its text is the help of the option that answers it."""
 assert all(option(key).startswith("--") for key in OPTIONS)

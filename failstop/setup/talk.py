@@ -1,5 +1,5 @@
-"""Talk: asks questions in a terminal. The answer comes from an option, from the draft of an earlier setup, or from a
-person."""
+"""Talk: asks questions in a terminal. An answer comes from a command-line option, from the saved answers of an earlier
+setup, or from a person."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class Left(FailstopError):
 
 
 class NotAnAnswer(ValueError):
-    """The answer is not allowed. The message says why, and what is allowed."""
+    """The answer is not allowed. The message says what is allowed."""
 
 
 Check = Callable[[str], str]
-"""Returns the answer in its usual form. Raises NotAnAnswer."""
+"""A function that checks an answer and returns it in its usual form. Raises NotAnAnswer."""
 
 
 class Talk:
-    """One conversation."""
+    """One conversation with a person."""
 
     def __init__(self, given: Mapping[str, str], draft: Draft, *, silent: bool) -> None:
-        """`given`: the answers given as options; `silent`: there is no terminal, so nobody can be asked."""
+        """`given`: answers from command-line options. `silent`: nobody can be asked, because there is no terminal."""
         self.given = dict(given)
         self.draft = draft
         self.silent = silent
@@ -43,16 +43,18 @@ class Talk:
         """How many answers a person has typed."""
 
     def step(self, number: int, title: str) -> None:
-        """Print the head of a step."""
+        """Print the title of a step."""
         style.show([[], [(f"{number}. {title}", style.STRONG)]])
 
     def say(self, text: str, role: str = style.PLAIN, indent: int = 3, hang: int = 0) -> None:
-        """Print a sentence, wrapped. `hang`: how much further than the first line the other lines are indented."""
+        """Print a sentence, wrapped to the terminal's width. `hang`: how many columns further than the first line the
+        other lines are indented."""
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
     def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
-        """Print a problem and the remedy. `fix`: a command that helps; it is not wrapped, so that it can be copied."""
+        """Print a problem and its remedy. `fix` is a command that helps. It is printed on one line, so that it can be
+        copied."""
         self.say(text, style.WARN)
         if fix:
             style.show([[(f"     -> {fix}", style.STRONG)]])
@@ -60,9 +62,9 @@ class Talk:
             self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
-        """Ask a question, and return the answer. `default`: the answer if the line is empty; `keep`: the answer is kept
-        in the draft and taken from it next time. Raises Left if an option has a wrong answer, or nobody can be
-        asked."""
+        """Ask a question, and return the checked answer. `default` is the answer if the person only presses Enter. With
+        `keep`, the answer is saved, and the next setup uses it. Raises Left if an option has a wrong answer, or if
+        nobody can be asked."""
         if (value := self.given.pop(key, None)) is not None:
             try:
                 found = check(value)
@@ -86,14 +88,14 @@ class Talk:
         self.say(f"{key.replace('_', ' ')}: {found} ({by})", style.DIM)
 
     def known(self, key: str) -> bool:
-        """True if the question is answered already, by an option or by the draft."""
+        """True if the question has been answered already, by an option or in an earlier setup."""
         return key in self.given or key in self.draft.answers
 
     def _typed(self, key: str, question: str, default: str, check: Check) -> str:
         if self.silent:
             raise Left(f"there is no terminal to ask you at ({question}): give {option(key)}")
         while True:
-            # What was typed before, for example while a wheel turned, is no answer to this.
+            # Discard what was typed before the question, for example while a wheel turned.
             with contextlib.suppress(OSError, termios.error):
                 termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
             *lines, last = style.wrap(
@@ -113,29 +115,29 @@ class Talk:
                 self.warn(str(error))
 
     def agreed(self, key: str, question: str, default: str = "") -> bool:
-        """Ask a question whose answer is yes or no. True: yes."""
+        """Ask a question that is answered with yes or no. Returns True for yes."""
         return self.ask(key, question, default, yes_or_no, keep=False) == YES
 
 
 def read_line(prompt: str) -> str:
-    """The line that a person types. Unlike input(), it misses no Ctrl-C. Raises EOFError."""
+    """Read a line that a person types. Unlike input(), it never misses a Ctrl-C. Raises EOFError."""
     sys.stdout.write(prompt)
     sys.stdout.flush()
     with arrivals() as arrived:
         while sys.stdin not in select.select((sys.stdin, arrived), (), ())[0]:
-            os.read(arrived, 4096)  # of signals whose handlers let it go on
+            os.read(arrived, 4096)  # the signal's handler raised nothing, so keep waiting
     if not (line := sys.stdin.readline()):
         raise EOFError
     return line
 
 
 def option(key: str) -> str:
-    """The command-line option that answers this question."""
+    """The command-line option that answers this question, for example --can-id for `can_id`."""
     return f"--{key.replace('_', '-')}"
 
 
 def yes_or_no(answer: str) -> str:
-    """Check an answer that must be yes or no. Raises NotAnAnswer."""
+    """Check that the answer is yes or no, or the beginning of either word. Raises NotAnAnswer."""
     word = answer.lower()
     if word and YES.startswith(word):
         return YES
@@ -145,7 +147,8 @@ def yes_or_no(answer: str) -> str:
 
 
 def one_of(choices: Mapping[str, str]) -> Check:
-    """A check for a choice: by its number, counted from 1, or by its name, which is the mapping's key."""
+    """Returns a check for a choice from a list. `choices` has a name and a description for each. The person types the
+    name, or its number counted from 1."""
     names = list(choices)
 
     def check(answer: str) -> str:
@@ -159,7 +162,8 @@ def one_of(choices: Mapping[str, str]) -> Check:
 
 
 def word_of(words: Sequence[str]) -> Check:
-    """A check for one of these words, or for the beginning of one if no other begins the same way."""
+    """Returns a check for one of these words. The beginning of a word is enough if no other word begins the same
+    way."""
 
     def check(answer: str) -> str:
         if (found := begun(answer, words)) is None:
@@ -170,14 +174,16 @@ def word_of(words: Sequence[str]) -> Check:
 
 
 def begun(answer: str, words: Sequence[str]) -> str | None:
-    """The word that an answer means: the same word, or the only word that begins with the answer; else None."""
+    """The word that the person meant. It is the word that equals the answer, or the only word that begins with it. None
+    if no word fits, or more than one."""
     text = answer.lower().strip()
     found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
     return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:
-    """A check for a number within these limits, in this unit; empty: it has none."""
+    """Returns a check for a number between these limits. `unit`: the unit that a person may type after the number, or
+    empty for a number without a unit."""
     range_ = f"{least:g} to {most:g}{f', in {unit}' if unit else ''}"
 
     def check(answer: str) -> str:

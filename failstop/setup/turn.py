@@ -1,8 +1,8 @@
-"""Turn: finds out how many of the board's units make one turn of a wheel, which only a person can tell.
+"""Turn: finds out how many of the board's units make one turn of a wheel. Only a person can find out.
 
-If commands and reports use the same scale, they always agree, however wrong the scale is. So a person turns a wheel by
-hand, and the board's counts before and after show the scale. If no wheel can be turned by hand, the person counts the
-turns of a wheel that failstop drives slowly.
+The board uses the same scale for commands and for reports, so they agree even if the scale is wrong. That is why a
+person turns a wheel by hand: the board's counts before and after show the true scale. If no wheel can be turned by
+hand, failstop drives a wheel slowly, and the person counts its turns.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ from failstop.supervisor.port_handover import OwnPort
 KEY = "per_rps"
 UNKNOWN = "unknown"
 SLOWEST_MPS = min(CAPS["limits.vx_mps"], CAPS["limits.vy_mps"])
-"""The speed at the wheel's rim. It is within the cap that applies until somebody has confirmed the scale."""
+"""The speed of the wheel's rim, m/s. It respects the speed cap that applies until somebody has confirmed the scale."""
 SECONDS = 10.0
 ASK_S = 0.1
 REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
-"""A change of fewer counts is play or noise."""
+"""How many counts a position must change to count as a turn. A smaller change is play or noise."""
 OTHERS = 0.2
-"""If another wheel has moved by more than this share of the first, it was turned too."""
+"""If a second wheel has moved by more than this share of the first wheel's change, it was turned too."""
 MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """Ask a person for the scale. Returns the setting board.per_rps, and the setting that confirms it if a wheel was
-    turned; nothing if the board knows its scale, or the person does not. `speeds`: how many speeds a frame of the board
-    has. Raises Left."""
+    """Ask a person for the scale. Returns the setting board.per_rps. If a wheel was turned, it also returns the setting
+    that confirms this value. Returns nothing if the board knows its own scale, or if the person can't tell.
+
+    `speeds` is the number of wheel speeds in a frame of the board. Raises Left.
+    """
     settings = Settings(dict(values))
     board = board_of(*settings.board())
     if not board.scale_assumed:
@@ -70,7 +72,7 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
 
 
 def _check(answer: str) -> str:
-    """Check an answer that must be a value of the setting, or UNKNOWN. Raises NotAnAnswer."""
+    """Check that the answer is an allowed value of board.per_rps, or UNKNOWN. Raises NotAnAnswer."""
     if answer == UNKNOWN:
         return answer
     declared = BY_KEY[PER_RPS]
@@ -86,8 +88,8 @@ def _turns(answer: str) -> str:
 
 
 def by_hand(talk: Talk, device: str, board: Board) -> str | None:
-    """The value of the setting, from a wheel that a person turns, or UNKNOWN; None if no wheel can be turned by hand.
-    Raises Left."""
+    """Find the value of board.per_rps by letting a person turn a wheel. Returns the value, UNKNOWN if the person skips
+    this, or None if no wheel can be turned by hand. Raises Left."""
     try:
         with contextlib.closing(OwnPort.open_and_stop(device, board)) as own:
             set_speed(own.fd, board.port)
@@ -112,9 +114,9 @@ def by_hand(talk: Talk, device: str, board: Board) -> str | None:
 
 
 def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
-    """The newest positions that the board reports. Raises Left."""
+    """The newest wheel positions that the board reports. Raises Left."""
     with contextlib.suppress(BlockingIOError):
-        tap.read()  # what has waited is old
+        tap.read()  # discard old reports
     until_s = time.monotonic() + REPORTS_S + board.port.deaf_ns / 1e9
     while time.monotonic() < until_s:
         if board.pings:
@@ -128,7 +130,7 @@ def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
 
 
 def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) -> list[float]:
-    """By how much each position has changed, either way."""
+    """How far each position has changed, without a sign."""
     steps = [now - then for then, now in zip(before, after, strict=True)]
     if wraps:
         steps = [(step + wraps / 2) % wraps - wraps / 2 for step in steps]
@@ -136,7 +138,7 @@ def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) ->
 
 
 def _wrong(counts: list[float]) -> str:
-    """Why these changes are not the turn of one wheel; empty if they are."""
+    """Why these changes can't come from turning one wheel. Empty if they can."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
         return "The board counted nothing: is that wheel's encoder plugged in?"
@@ -146,8 +148,8 @@ def _wrong(counts: list[float]) -> str:
 
 
 def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int, board: Board) -> str:
-    """The value of the setting, from a wheel that turns slowly and whose turns a person counts; or UNKNOWN. Raises
-    Left."""
+    """Find the value of board.per_rps by turning a wheel slowly while a person counts its turns. Returns the value, or
+    UNKNOWN if the person skips this. Raises Left."""
     kind, diameter_m = settings.text("board.kind"), settings["wheels.diameter_m"]
     rps = SLOWEST_MPS / rim_mps(1.0, diameter_m)
     values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
@@ -172,8 +174,8 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """The value of the setting if a wheel has made `turns` turns, where `told` turns would be right with the present
-    scale."""
+    """The corrected value of board.per_rps. With the present value a wheel should have made `told` turns, but it made
+    `turns`."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

@@ -1,5 +1,5 @@
-"""Wheels: finds out which motor id turns which wheel, and in which direction, by turning each wheel alone and then all
-together."""
+"""Wheels: finds out which motor id turns which wheel, and in which direction. It turns each wheel alone, and then all
+wheels together."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
 SECONDS = 1.0
 RPS = 0.5
-"""The speed of a wheel, turns per second: slow, but fast enough to be seen."""
+"""How fast a wheel turns, turns per second. This is slow, but fast enough to be seen."""
 FASTEST_RPS = 2.0
 AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
 WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
@@ -32,17 +32,18 @@ SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
 def short(name: str) -> str:
-    """The short name of a wheel: `front left` becomes fl, `left` stays left."""
+    """The short name of a wheel: `front left` becomes `fl`, and `left` stays `left`."""
     return "".join(word[0] for word in name.split()) if " " in name else name
 
 
 def names(count: int) -> list[str]:
-    """The short name of each wheel, in the order of the wheels' numbers."""
+    """The short names of a robot's wheels, in the order of the wheels' numbers."""
     return [short(name) for name in WHEEL_NAMES[count]]
 
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
-    """The answer about a wheel: the wheel and its direction, for example `fl+`, or again, faster, none. `spare`: an id
+    """Check the answer about a wheel, and return it in its usual form. For example `fl+` means that the front left
+    wheel turned forward. The answer may also be again or faster, and with `spare` it may be none, because then an id
     may have no wheel. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
@@ -56,17 +57,18 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """Ask the person whether the wheels may turn. It is asked each time. Raises Left if they may not."""
+    """Ask the person whether the wheels may turn. This is asked in every setup, even if it was answered before. Raises
+    Left if the answer is no."""
     talk.say(STAND, style.STRONG)
     if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
 
 
 class Trial:
-    """The third step: turns the wheels and asks about them."""
+    """The third step of the setup: turns the wheels, and asks which wheel turned and in which direction."""
 
     def __init__(self, talk: Talk, device: str, values: Mapping[str, object], halt: Halt) -> None:
-        """`values`: the settings so far; `halt` stops the wheels of this board. Raises SettingError."""
+        """`values`: the settings so far. `halt` stops the wheels of this board. Raises SettingError."""
         self._talk, self._device, self._values, self._halt = talk, device, dict(values), halt
         settings = Settings(dict(values))
         self._kind = settings.text("board.kind")
@@ -77,22 +79,24 @@ class Trial:
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
         self._explained = False
-        """True once the questions about the wheels were explained."""
+        """True after the questions about the wheels have been explained."""
         self._ratios: list[float] = []
-        """Measured speed divided by commanded speed, for each wheel that turned."""
+        """The measured speed divided by the commanded speed, for each wheel that has turned."""
         self._set_speeds()
 
     def _set_speeds(self) -> None:
-        """Set the speeds of the trial from the settings so far. If nobody has confirmed the scale, they are capped."""
+        """Choose the speeds for turning the wheels, from the settings so far. The speeds are capped until somebody has
+        confirmed the scale."""
         board = self._board = board_of(*Settings(dict(self._values)).board())
-        # Half of what the board takes: a wheel has to turn for two ways at once.
+        # Half of the board's highest speed, because a wheel may have to drive and turn the robot at the same time.
         self._fastest = min(FASTEST_RPS, board.most_rps / 2)
         if board.scale_assumed:
             self._fastest = min(self._fastest, turn.SLOWEST_MPS / rim_mps(1.0, self._diameter_m))
         self._rps = min(RPS, self._fastest)
 
     def step(self) -> dict[str, object]:
-        """The ids and signs of the wheels' motors, found by turning the wheels. Raises Left."""
+        """Turn the wheels and ask about them. Returns the motor ids and directions of the wheels as settings, and also
+        a corrected scale if one was found. Raises Left."""
         talk = self._talk
         talk.step(3, "The wheels")
         stand(talk)
@@ -151,8 +155,8 @@ class Trial:
         return found
 
     def _scale(self) -> dict[str, object]:
-        """The corrected scale, if the board reports in its own unit that the wheels turn at another speed than
-        commanded; else nothing."""
+        """Compare the wheels' measured speed with the commanded speed. If they differ, return the corrected scale as
+        settings, else nothing. This needs a board that reports speeds in its own unit."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
@@ -165,7 +169,7 @@ class Trial:
         return found
 
     def _legend(self) -> None:
-        """Explain how to answer the questions, before the first of them."""
+        """Explain how to answer the questions. This is printed once, before the first question."""
         if self._explained:
             return
         self._explained = True
@@ -178,7 +182,7 @@ class Trial:
         self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """Ask about one id until the answer is good. Its wheel turns before each question."""
+        """Turn the wheel of one id, and ask which wheel it was. It repeats this until the person names the wheel."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if not talk.known(key):
@@ -211,8 +215,8 @@ class Trial:
             self._ratios += [abs(speed) / per_rps / self._rps for speed in moved.values()]
 
     def _together(self, values: Mapping[str, object]) -> str:
-        """Turn all wheels together, forward and then to the left. Returns the key of the question that was answered
-        with no; empty if there was none. Raises Left."""
+        """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first
+        question that was answered with no, or an empty text if there was none. Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))
