@@ -1,2 +1,2 @@
-"""The operator's page. It runs in a process of its own, as a client of the service, and is not on the stop path
-(docs/operator.md)."""
+"""The operator's page: a web page with STOP, the robot's state, and its incidents. It runs in a separate process as a
+client of the service, and no stop of the service depends on it (docs/operator.md)."""

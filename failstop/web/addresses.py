@@ -1,4 +1,4 @@
-"""Addresses: the addresses at which a phone finds the page, as text and as a QR code with the pairing code."""
+"""Addresses: where a phone finds the page, as text and as a QR code. The QR code also contains the pairing code."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 HERE = ("127.", "::1", "fe80")
 EVERYWHERE = ("0.0.0.0", "::", "")
 QUIET = 1
-"""The margin of a QR code, in modules. It is small, because a terminal has a margin of its own."""
+"""The margin around a QR code, in the code's squares. A small margin is enough, because a terminal has its own."""
 
 
 def own_addresses() -> list[str]:
-    """This computer's addresses on its networks, without loopback and link-local IPv6. The addresses that a robot's
-    network usually has come first."""
+    """This computer's network addresses, without loopback and link-local IPv6. IPv4 addresses come first, because most
+    robots are reached by them."""
     import psutil
 
     rows = [row for each in psutil.net_if_addrs().values() for row in each]
@@ -26,12 +26,14 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """Addresses for a phone, the best first; only one if there is a proxy."""
+    """The page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a proxy
+    there is only one address, the proxy's."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 
 def listening(found: dict[str, Any]) -> list[str]:
-    """The address at which the page itself listens for phones, or for a proxy."""
+    """The addresses at which the page itself listens, for phones or for a proxy. `found` is the result of
+    Page.addresses()."""
     hosts = [found["address"]]
     if found["address"] in EVERYWHERE:
         own = socket.gethostname().partition(".")[0]
@@ -40,12 +42,14 @@ def listening(found: dict[str, Any]) -> list[str]:
 
 
 def link(url: str, code: str) -> str:
-    """The text of the QR code. The part after # is never sent over the network."""
+    """The text of the QR code: the page's address, then # and the pairing code. A browser never sends the part after #
+    over the network."""
     return f"{url}#{code}"
 
 
 def terminal_text(found: dict[str, Any]) -> str:
-    """The text for the terminal."""
+    """The text that `failstop web pair` prints: the QR code, the pairing code, and the page's addresses. With HTTPS, it
+    also has the certificate's fingerprint."""
     places = urls(found)
     parts = []
     if picture := qr(link(places[0], found["code"])):

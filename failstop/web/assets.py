@@ -1,5 +1,5 @@
-"""Assets: the page's files. The first answer holds everything that the page needs to be shown and to stop the robot,
-because on a slow phone a second request takes half a second."""
+"""Assets: the page's files. The first response already contains everything that shows the page and stops the robot,
+because a second request takes half a second on a slow phone."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 FOLDER = Path(__file__).parent / "page"
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml"}
 WITHIN = {"stop.css": "style-src", "stop.js": "script-src 'self'", "page.css": "style-src"}
-"""Files that are put into the page itself, in place of comments with their names, each with the directive of the
-Content-Security-Policy that allows it."""
+"""Files that are part of the first response. Each replaces a comment with its name in page.html. Its value is the
+directive of the Content-Security-Policy that allows it."""
 INDEX = "/"
 
 
 def load() -> dict[str, tuple[bytes, bytes, str, str]]:
-    """Every file by its path: (content, the same compressed, type, what its Content-Security-Policy adds). The policy
-    names the parts within the page by their hashes."""
+    """All files by their paths: (content, gzip-compressed content, content type, additions to the
+    Content-Security-Policy). The additions allow the styles and scripts inside the page, by their hashes."""
     page, allowed = _text("page.html"), dict[str, str]()
     for name, directive in WITHIN.items():
         text = _text(name)
@@ -33,7 +33,7 @@ def load() -> dict[str, tuple[bytes, bytes, str, str]]:
 
 
 def policy(given: str, more: str) -> str:
-    """A Content-Security-Policy in which some directives are replaced."""
+    """The Content-Security-Policy `given`, in which the directives of `more` replace those of the same name."""
     rows = dict(row.strip().partition(" ")[::2] for row in given.split(";"))
     rows |= dict(row.strip().partition(" ")[::2] for row in more.split(";") if row)
     return "; ".join(f"{name} {value}" for name, value in rows.items())

@@ -1,5 +1,5 @@
-"""Attending: reports to the gate the operators whose devices have proven that they are present. Only the gate counts
-the time. It hears about one operator at a time, the one whose device has proven it last."""
+"""Attending: tells the gate which operator is present, proved by that operator's device. If several operators are
+present, it reports only the one whose proof is newest. The gate alone decides when a proof is too old."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ if TYPE_CHECKING:
 
 
 class Attending:
-    """The operators who attend through the page."""
+    """The operators who attend the robot through the page."""
 
     def __init__(self, name: str, ended: Callable[[Viewer], None]) -> None:
-        """`ended`: called with each viewer that no longer attends."""
+        """`ended` is called with each viewer that stops attending."""
         self._name = name
         self._ended = ended
         self._robot: Robot | None = None
         self._leases: dict[Viewer, tuple[str, Lease]] = {}
 
     def of(self, viewer: Viewer) -> Lease | None:
-        """The lease of a viewer; None if it does not attend."""
+        """The lease of a viewer, which checks its proofs. None if this viewer does not attend."""
         found = self._leases.get(viewer)
         return found[1] if found else None
 
     def begin(self, viewer: Viewer, who: str, key: bytes) -> None:
-        """A device begins to attend; it counts from its first answer on."""
+        """Let a device begin to attend. It counts as present from its first correct answer on. `key` is the key of its
+        answers."""
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
-        """An answer of this viewer has proven something new, so report it to the gate. Returns what went wrong, or
-        ""."""
+        """Call this after a viewer's answer has proved something new. It reports the proof to the gate, if it is the
+        newest. Returns an error text, or ""."""
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
-        """A device no longer attends. The gate is told at once which operator is left, and when that one's device has
-        last proven it, which may be too long ago."""
+        """End a viewer's attendance. If this viewer's proof was the newest, the gate gets the next newest proof at
+        once, from another operator's device. That proof may be too old already, and then nobody attends."""
         last = self._last()
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
@@ -50,7 +51,7 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """The operator whose device has proven it last, with its lease; None if there is none."""
+        """The operator with the newest proof, and that operator's lease. None if nobody has proved to be present."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 
@@ -77,6 +78,6 @@ class Attending:
             robot.close()
 
     def close(self) -> None:
-        """The page ends, so nobody attends through it any more."""
+        """Nobody attends through this page any more, because the page closes."""
         for viewer in tuple(self._leases):
             self.end(viewer)

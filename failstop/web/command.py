@@ -1,4 +1,5 @@
-"""`failstop web`: serves the operator's page, and pairs the devices that may do more than watch and stop."""
+"""`failstop web`: serves the operator's page, and pairs devices. Anyone may watch and stop, but only a paired device
+may do more."""
 
 from __future__ import annotations
 
@@ -25,11 +26,11 @@ WHAT = (
     "serve (default): serve the page; pair: print a code and a QR code with which a phone can pair; devices: list the "
     "paired devices; revoke: unpair the device with this ID"
 )
-"""What each action does."""
+"""The help text about the four actions."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop web`."""
+    """Add the options of `failstop web` to its parser."""
     add = parser.add_argument
     add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help=WHAT)
     add("device", nargs="?", metavar="ID", help="with revoke: which device; `failstop web devices` lists the ids")
@@ -43,14 +44,14 @@ def main(arguments: Namespace) -> int:
     """Carry out one action. Raises FailstopError, SettingError."""
     instance.check_name(arguments.name)
     try:
-        import tornado  # noqa: F401  # what every action needs
+        import tornado  # noqa: F401  # every action needs it
     except ImportError:
         raise FailstopError(extras.missing("the page needs tornado", "web")) from None
     return ACTIONS[arguments.action](arguments)
 
 
 def _serve(arguments: Namespace) -> int:
-    """Serve the page until it is ended."""
+    """Serve the page until the process is asked to end."""
     import asyncio
 
     from failstop.web import server
@@ -65,8 +66,8 @@ def _serve(arguments: Namespace) -> int:
 
 
 def _settings(arguments: Namespace) -> tuple[Settings, Source]:
-    """The settings and their source: the file that a person has named; else the running service, whatever file it was
-    started with; else the installed file."""
+    """The page's settings, and where they come from. With --config they come from that file. Otherwise they come from
+    the running service, or from the installed file if no service is running."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     changed = {key: value for key, value in given.items() if value is not None}
     if not arguments.config:

@@ -1,5 +1,5 @@
-"""Connections: limits the number of connections, so that a flood neither uses up the descriptors nor keeps a STOP
-out."""
+"""Connections: limits how many connections the page has open. So a flood of connections can't use up the file
+descriptors, and can't keep a STOP out."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ if TYPE_CHECKING:
 
 
 class Closes(Protocol):
-    """A connection that can be closed."""
+    """Anything that can be closed, for example a connection."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the connection."""
 
 
 T = TypeVar("T", bound=Closes)
 
 MOST = 256
-"""How many connections there may be that are not a websocket, or not yet."""
+"""How many connections may be open at once, not counting websockets. A connection that becomes a websocket counts until
+then."""
 IDLE_S = 10.0
-"""How long a connection may take to send the head of its next request, s."""
+"""How long to wait for the head of the next request, s. Then the connection is closed."""
 BODY_S = 5.0
 MOST_HEAD = 16 * 1024
 MOST_BODY = 4 * 1024
 
 
 class Places(Generic[T]):
-    """A limited number of places for connections of one kind. When all are taken, the address that has the most of them
-    loses its oldest connection to the new one, which may be a STOP."""
+    """A limited number of places for connections. If all places are taken, a new connection still gets one, because it
+    may be a STOP. The address that holds the most places then loses its oldest connection."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -46,7 +47,7 @@ class Places(Generic[T]):
         return len(self._held)
 
     def add(self, one: T, address: str) -> None:
-        """Give a place to a new connection."""
+        """Give a place to a new connection from `address`."""
         while len(self._held) >= self._most:
             fullest, _ = Counter(self._held.values()).most_common(1)[0]
             oldest = next(each for each, whose in self._held.items() if whose == fullest)
@@ -64,11 +65,11 @@ class Places(Generic[T]):
 
 
 class BoundedServer(HTTPServer):
-    """A server in which every new connection has one of MOST places, until it becomes a websocket. Websockets have
-    limits of their own."""
+    """An HTTP server with at most MOST open connections. A connection that becomes a websocket no longer counts,
+    because websockets have their own limits."""
 
     def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
-        """Set up tornado's HTTPServer with these limits. `names`: the names that the robot answers to."""
+        """Set up tornado's HTTPServer with these limits. `names`: the host names of the robot."""
         self._names = names
         self._places: Places[IOStream] = Places(MOST)
         options |= {
@@ -92,5 +93,6 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:
-        """A connection has become a websocket, so floods of other connections can't close it."""
+        """Call this when a connection has become a websocket. It frees the connection's place, so that a flood of other
+        connections can't close the websocket."""
         self._places.leave(stream)

@@ -1,5 +1,5 @@
-"""Control: carries the requests of `failstop web pair`, `devices` and `revoke` to the running page, through a socket in
-its folder."""
+"""Control: lets `failstop web pair`, `devices` and `revoke` talk to the running page, through a Unix socket in the
+page's folder."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class _Asked(RequestHandler):
         self.page = page
 
     def write_error(self, status_code: int, **given: Any) -> None:
-        """Answer with the reason, because the command prints it for its user."""
+        """Send the reason of an error, because the command prints it."""
         error = given.get("exc_info", (None, self._reason))[1]
         self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a bug in the page: {error!r}"})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
-        """Don't log an error that the command prints; it is not a defect."""
+        """Log only bugs. A FailstopError is not logged, because the command prints it."""
         if not isinstance(value, FailstopError):
             super().log_exception(typ, value, tb)
 
@@ -68,7 +68,8 @@ class _Devices(_Asked):
 
 
 def listen(page: Page, path: str) -> HTTPServer:
-    """Serve at that path. Anyone who may open the folder may pair. Raises FailstopError."""
+    """Serve the commands at the Unix socket `path`. Anyone who may open the socket's folder may pair devices. Raises
+    FailstopError."""
     rows = [("/pair", _Pair, {"page": page}), ("/devices", _Devices, {"page": page})]
     try:
         found = bind_unix_socket(path, mode=0o600)
@@ -111,7 +112,7 @@ def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: obj
 
 
 def _understood(status: int, said: bytes) -> dict[str, Any]:
-    """The page's answer, decoded. Raises Refused, FailstopError."""
+    """Decode the page's answer. Raises Refused, FailstopError."""
     try:
         found: dict[str, Any] = json.loads(said)
     except ValueError:
@@ -126,6 +127,6 @@ def _understood(status: int, said: bytes) -> dict[str, Any]:
 
 
 def remove(path: str) -> None:
-    """Remove the socket of a page that has ended."""
+    """Remove the Unix socket. Call it when the page ends."""
     with contextlib.suppress(OSError):
         os.unlink(path)

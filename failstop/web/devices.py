@@ -1,7 +1,7 @@
-"""Devices: the paired devices, whose tokens let them reset and enable, and the code with which a device is paired.
-Pure.
+"""Devices: the paired devices, and the code that pairs a new one. A paired device has a token with which it may reset
+and enable. Pure.
 
-Only the hash of a token is kept, so that nobody who reads the file can use it.
+The page stores only the hash of a token, so that nobody can use a token by reading the file.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ TOKEN_BYTES = 32
 LONGEST_NAME = 32
 MOST = 32
 ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
-"""The characters of a code (Crockford's alphabet), without letters that look like digits."""
+"""The characters of a pairing code (Crockford's alphabet). Letters that look like digits are left out."""
 CODE_CHARACTERS = 8
 CODE_S = 120.0
 TRIES = 5
-"""After this many wrong codes the offer ends. There are 2 to the 40 codes."""
+"""How many wrong codes end an offer to pair. A code can't be guessed in so few tries, because there are 2 to the power
+of 40 codes."""
 
 
 class NotPaired(Exception):
-    """The device was not paired; the message says why."""
+    """The device was not paired. The message says why."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,18 +35,18 @@ class Device:
     id: str
     name: str
     digest: str
-    """The SHA-256 of its token. A slow hash is not needed, because tokens are random."""
+    """The SHA-256 of the device's token. No slow hash is needed, because a token is random."""
     made: float
-    """When it was paired (Unix time, s), for people."""
+    """When the device was paired (Unix time, s). It is shown to people."""
 
 
 def digest_of(token: str) -> str:
-    """The hash of a token, which is all that is kept of it."""
+    """The hash of a token. Only this hash is stored."""
     return hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()
 
 
 def clean(name: str) -> str:
-    """A device's name in a form that is safe to show to people."""
+    """The device's name in a form that is safe to show: printable, on one line, and not too long."""
     shown = "".join(c if c.isprintable() else "?" for c in " ".join(name.split()))
     return shown[:LONGEST_NAME] or "a device"
 
@@ -57,12 +58,12 @@ class Devices:
         self._by_digest = {device.digest: device for device in known}
 
     def all(self) -> list[Device]:
-        """The devices in the order in which they were paired."""
+        """The devices, in the order in which they were paired."""
         return list(self._by_digest.values())
 
     def free_name(self, name: str) -> str:
-        """That name, safe to show, and with a number if another device has it already, because a stop names the
-        device."""
+        """A name for a new device, based on the wanted one and safe to show. If another device has the same name, a
+        number is added, so that the reason of a stop shows which device it was."""
         wanted, taken = clean(name), {device.name for device in self.all()}
         for number in range(2, MOST + 2):
             if wanted not in taken:
@@ -77,23 +78,24 @@ class Devices:
         self._by_digest[device.digest] = device
 
     def of(self, token: str) -> Device | None:
-        """The device with this token."""
+        """The device that has this token, or None."""
         return self._by_digest.get(digest_of(token)) if token else None
 
     def revoke(self, identity: str) -> Device | None:
-        """Remove the device with this id, so that it can only watch and stop. Returns it, or None."""
+        """Remove the device with this id, so that it may only watch and stop. Returns the device, or None if no device
+        has this id."""
         found = next((device for device in self.all() if device.id == identity), None)
         if found:
             del self._by_digest[found.digest]
         return found
 
     def dump(self) -> bytes:
-        """The content of the file."""
+        """The devices as the content of their file."""
         return (json.dumps([dataclasses.asdict(device) for device in self.all()], indent=2) + "\n").encode()
 
     @classmethod
     def load(cls, data: bytes) -> Devices:
-        """The devices in the content of the file. Raises ValueError if it is damaged."""
+        """The devices from the content of their file. Raises ValueError if it is damaged."""
         try:
             rows: list[dict[str, Any]] = json.loads(data)
             found = tuple(
@@ -105,19 +107,20 @@ class Devices:
 
 
 def code_of(data: bytes) -> str:
-    """A code from five random bytes."""
+    """The pairing code made from five random bytes."""
     number = int.from_bytes(data[:5], "big")
     characters = [ALPHABET[number >> 5 * at & 31] for at in range(CODE_CHARACTERS)]
     return f"{''.join(characters[:4])}-{''.join(characters[4:])}"
 
 
 def typed(code: str) -> str:
-    """The code that a person meant: letters that look like digits are replaced."""
+    """A pairing code in its usual form, however a person typed it. For example, the letter O becomes the digit 0, and
+    blanks and dashes are removed."""
     return code.upper().translate(str.maketrans("OIL", "011", " -_")).strip()
 
 
 class Pairing:
-    """An offer to pair. Its code pairs one device, once, within CODE_S."""
+    """An offer to pair a device. The offer's code pairs one device, and is valid for CODE_S."""
 
     def __init__(self) -> None:
         self._code = ""
@@ -125,11 +128,11 @@ class Pairing:
         self._left = 0
 
     def offer(self, code: str, now_s: float) -> None:
-        """Make an offer with this code; an earlier offer ends. `now_s`: time.monotonic()."""
+        """Make an offer with this code. It replaces an earlier offer. `now_s`: time.monotonic()."""
         self._code, self._until_s, self._left = typed(code), now_s + CODE_S, TRIES
 
     def redeem(self, code: str, now_s: float) -> None:
-        """Use the code up. Raises NotPaired if it is wrong, or if there is no offer."""
+        """Use up the code of the offer. Raises NotPaired if the code is wrong, or if no offer is open."""
         if not self._code or now_s > self._until_s:
             self._code = ""
             raise NotPaired("no code is valid now: run failstop web pair on the robot, which shows one for two minutes")

@@ -1,6 +1,10 @@
-"""Driving: the thumb stick of a paired device whose operator attends. A command comes together with the answer to a
-nonce, and counts from the time at which the robot made that nonce. The gate lets it count for the source's timeout, 0.3
-s, and applies the limits."""
+"""Driving: lets an operator drive with the page's thumb stick. The operator's device must be paired, and must prove
+that the operator is present.
+
+A command arrives together with the device's answer to a nonce of the robot. The command counts from the time at which
+the robot made that nonce, so a late network can't make it look fresh. The gate uses it for the source's timeout, 0.3 s,
+and applies the limits.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +24,17 @@ if TYPE_CHECKING:
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
-"""Commands are given as this source if the settings declare it, else as cmd_vel."""
+"""The source under which commands are sent, if the settings declare it. Otherwise they are sent as cmd_vel."""
 OTHER_S = 0.5
-"""The pause between driving by one person with the stick and driving by another, s."""
+"""How long after one person's last command another person may drive, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
 
 
 def share(said: str) -> tuple[float, float] | None:
-    """Forward and to the left, each from -1 to 1, from a command's text; None if it is not one."""
+    """Parse a command of the stick. Returns (forward, left), each from -1 to 1, or None if the text is not a
+    command."""
     try:
         forward, turn = (float(word) for word in said.split())
     except ValueError:
@@ -38,13 +43,14 @@ def share(said: str) -> tuple[float, float] | None:
 
 
 class Driving:
-    """The stick of one viewer at a time."""
+    """Drives the robot for one viewer at a time."""
 
     def __init__(self, name: str, settings: Settings) -> None:
         wanted, attended = settings.on("web.drive"), settings.on("attend.required")
         self.on = wanted and attended
         self.lacks = UNATTENDED_DRIVE if wanted and not attended else ""
-        """Why nobody can drive from the page although web.drive is on; empty if people can, or if it is off."""
+        """Why nobody can drive from the page although web.drive is on. Empty if driving is possible, or if web.drive is
+        off."""
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
@@ -52,23 +58,26 @@ class Driving:
         self._driver: tuple[Viewer, str] | None = None
         self._last_s = 0.0
         self._chosen: set[str] = set()
-        """Devices whose operators have chosen a speed limit since they began to attend."""
+        """The ids of devices whose operators have chosen a speed limit since they began to attend."""
         self._spent: set[Viewer] = set()
-        """Viewers whose stick counts only after it was let go, because motion was disabled while they held it. This
-        stays so even if motion is enabled again."""
+        """Viewers who held the stick while motion was disabled. Their stick moves nothing until they let go of it, even
+        if motion is enabled again."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each stick that is held: (the epoch when it was pushed, when motion had been enabled then, ns)."""
+        """For each stick that is held: the epoch when it was pushed, and when motion had been enabled at that time
+        (ns)."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """True if the operator of this device has chosen a speed limit."""
+        """True if the operator of this device has chosen a speed limit, or needs none because driving is off or the
+        device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
-        """The operator of a device has chosen a speed limit."""
+        """Note that the operator of this device has chosen a speed limit."""
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """Handle a proven command of a viewer that attends. Returns what keeps it from driving, or ""."""
+        """Drive as the command `said` asks. The viewer attends, and its answer has proved the command. Returns why the
+        robot does not drive, or ""."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
@@ -90,7 +99,7 @@ class Driving:
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
     def _newest(self, state: State) -> State:
-        """The state now, if somebody drives; otherwise the given state, which may be 0.1 s old."""
+        """The robot's newest state if somebody is driving. Otherwise the given state, which may be 0.1 s old."""
         with contextlib.suppress(FailstopError):
             return self._robot.state if self._robot else state
         return state
@@ -106,8 +115,8 @@ class Driving:
         return ""
 
     def release(self, viewer: Viewer) -> None:
-        """The stick was let go, so the velocity goes to zero along the ramp. No proof is needed, because this moves
-        nothing."""
+        """The viewer has let go of the stick, so the robot slows down to zero along its ramp. No proof is needed,
+        because this moves nothing."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
@@ -115,7 +124,8 @@ class Driving:
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Viewer) -> None:
-        """A viewer no longer attends: command zero at once. When it comes back, it must choose the limit again."""
+        """The viewer no longer attends, so stop its command at once. If it attends again later, its operator must
+        choose a speed limit again."""
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)
@@ -130,5 +140,5 @@ class Driving:
                 robot.close()
 
     def close(self) -> None:
-        """The page ends."""
+        """Stop driving, because the page closes."""
         self._close()

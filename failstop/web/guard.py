@@ -1,8 +1,9 @@
-"""Guard: decides which requests are let in, by a table. The first row that fails decides. Pure.
+"""Guard: decides which HTTP requests are accepted, by a table of checks. The first check that fails decides the answer.
+Pure.
 
-A page of another site can make a browser send requests here: it can let a name of its own point to the robot
-(rebinding), or send requests to the robot's name from elsewhere (cross-site). Nobody is trusted only because the
-request comes from the robot's network.
+The checks protect against pages of other sites, which can make a browser send requests to the robot. Such a page can
+make its own host name point to the robot (DNS rebinding), or send requests to the robot's name (cross-site requests). A
+request is not trusted just because it comes from the robot's network.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 HEADER = "X-Failstop"
-"""A header that the page's own scripts set. A form or a link of another site can't set it."""
+"""A header that only the page's own scripts can set. A form or a link on another site can't."""
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""The values of Sec-Fetch-Site that are allowed: the request comes from this page, or from something that the person
-did."""
+"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, or directly from
+the person, for example from the address bar."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -38,18 +39,18 @@ HEADERS = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""The headers of every answer."""
+"""The headers of every response."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PageRequest:
-    """The parts of a request that decide. A part that was not sent is empty."""
+    """The parts of a request that the checks look at. A part that was not sent is empty."""
 
     method: str
     scheme: str
-    """http or https, as the request arrived."""
+    """http or https, whichever the request used to arrive here."""
     host: str
-    """The header Host, with the port."""
+    """The header Host, including the port."""
     origin: str = ""
     header: str = ""
     """The value of HEADER."""
@@ -60,7 +61,8 @@ class PageRequest:
 
 
 def origin_of(setting: str) -> str:
-    """The origin that browsers see if there is a proxy in between; empty if there is none. Raises FailstopError."""
+    """Check and normalize the setting web.origin, which is the page's origin behind a proxy. Returns "" if it is not
+    set. Raises FailstopError."""
     found = setting.lower().rstrip("/")
     scheme, _, host = found.partition("://")
     if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
@@ -69,15 +71,15 @@ def origin_of(setting: str) -> str:
 
 
 def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
-    """Every name that the robot answers to, in addition to its addresses: its host name, the same with .local,
-    localhost, the names in a setting (separated by blanks), and the name in the origin that browsers see."""
+    """All host names of the robot, besides its addresses. These are its own host name, the same name with .local,
+    localhost, the names in the setting `more` (separated by blanks), and the name in `origin`."""
     own = hostname.lower().partition(".")[0]
     proxied = host_of(origin.partition("://")[2])
     return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split(), proxied)) - {""}
 
 
 def host_of(header: str) -> str:
-    """The host in a Host header, without port and brackets; empty if it is not one."""
+    """The host in a Host header, without port and brackets. Empty if the header is malformed."""
     try:
         found = urlsplit(f"//{header}")
         _ = found.port
@@ -89,8 +91,8 @@ def host_of(header: str) -> str:
 
 
 def is_address(host: str) -> bool:
-    """True if the host is an address and not a name. Another site can't let an address point to the robot, so a page
-    that was opened at an address came from the robot."""
+    """True if the host is an address, not a name. A page that was opened at an address must come from the robot,
+    because no other site can make an address point to the robot."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
@@ -99,7 +101,7 @@ def is_address(host: str) -> bool:
 
 
 def only_here(address: str) -> bool:
-    """True if only this computer can reach that address."""
+    """True if only this computer can reach the address."""
     return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
 
 
@@ -110,9 +112,9 @@ def _own_host(request: PageRequest, known: frozenset[str], proxied: str) -> bool
 
 def _own_origin(request: PageRequest, known: frozenset[str], proxied: str) -> bool:
     if request.origin:
-        # An origin that was sent is never empty, as one that is not set is.
+        # Without a proxy `proxied` is empty. It can't match then, because request.origin is not empty here.
         return request.origin.lower() in (f"{request.scheme}://{request.host.lower()}", proxied)
-    # A browser names the origin of each of these; a program has none.
+    # A browser always sends the origin when it asks for a websocket. Without one, only plain requests are accepted.
     return not request.upgrade
 
 
@@ -133,12 +135,13 @@ ROWS: tuple[tuple[str, int, Callable[[PageRequest, frozenset[str], str], bool], 
         f"a request that changes something must have the header {HEADER}: 1",
     ),
 )
-"""Name, status, what must hold, what is said otherwise."""
+"""The checks in their order. Each row has a name, the HTTP status of a refusal, a function that returns True for an
+accepted request, and the reason for a refusal."""
 
 
 def refusal(request: PageRequest, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
-    """The status and the reason for a request that is not let in; None if it is let in. `proxied`: the origin that
-    browsers see if there is a proxy in between."""
+    """Check a request. Returns the HTTP status and the reason of a refusal, or None if the request is accepted.
+    `known`: the robot's host names. `proxied`: the origin that browsers see if there is a proxy, else ""."""
     for _, status, holds, why in ROWS:
         if not holds(request, known, proxied):
             return status, why

@@ -1,4 +1,4 @@
-"""Handlers: a request must pass the guard, and then does one thing. The websockets are in sockets.py."""
+"""Handlers: answer the page's HTTP requests, after the guard has accepted them. The websockets are in sockets.py."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LINES_OF_A_DEFECT = 6
 
 
 class Guarded(RequestHandler):
-    """What all handlers share."""
+    """The base of all handlers: it checks each request by the guard."""
 
     SUPPORTED_METHODS = ("GET", "HEAD", "POST")
 
@@ -32,13 +32,13 @@ class Guarded(RequestHandler):
         self.page = page
 
     def set_default_headers(self) -> None:
-        """Set the headers that every answer has, refusals too."""
+        """Set the headers that every response has, including refusals."""
         self.clear_header("Server")
         for name, value in guard.HEADERS.items():
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        """Refuse a request that the guard does not let in."""
+        """Refuse the request if the guard does not accept it."""
         if found := guard.refusal(self._request(), self.page.names, self.page.origin):
             self.refuse(*found)
 
@@ -55,61 +55,62 @@ class Guarded(RequestHandler):
         )
 
     def refuse(self, status: int, why: str) -> None:
-        """Answer with the reason."""
+        """Refuse the request, with this status and reason."""
         self.set_status(status)
         self.finish({"error": why})
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Answer a defect, or a malformed request, without any details."""
+        """Answer after a bug or a malformed request. The answer contains no details."""
         self.finish({"error": self._reason})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
-        """Log a defect in a few lines, and only rarely if there are many, because strangers must not fill the
-        journal."""
+        """Log a bug in a few lines. If the same kind of bug repeats, only some are logged, because strangers must not
+        be able to fill the journal."""
         if not isinstance(value, HTTPError) and self.page.defect_limit.spend(str(typ), time.monotonic()):
             told = "".join(traceback.format_exception(typ, value, tb)).splitlines()[-LINES_OF_A_DEFECT:]
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
     def body(self) -> dict[str, Any]:
-        """The request's JSON object; an empty one if it has none."""
+        """The JSON object that the request contains, or an empty one."""
         return messages.read(self.request.body)
 
     @property
     def scheme(self) -> str:
-        """http or https, as the browser has used it."""
+        """http or https, as the browser used it. Behind a proxy this may differ from what arrives here."""
         return self.page.scheme or self.request.protocol
 
     @property
     def cookie(self) -> str:
-        """The name of the cookie. Over HTTPS it is a name that no other host name of the robot, and no plain HTTP
-        answer, can set."""
+        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-. Browsers let only
+        the robot's own HTTPS answers set such a cookie, so neither plain HTTP nor another host name can."""
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
-        """The device's token, as the browser sends it."""
+        """The device's token from the cookie. Empty if the browser sent none."""
         return self.get_cookie(self.cookie) or ""
 
     def device(self) -> Device | None:
-        """The paired device that sends the request; None for anyone who may only watch and stop."""
+        """The paired device that sent the request. None if it is not paired, so that it may only watch and stop."""
         return self.page.devices.of(self.token())
 
     def who(self) -> str:
-        """The sender of the request, for people."""
+        """A name for the sender of the request, to show to people."""
         device = self.device()
         return f"page at {self.request.remote_ip}" if device is None else f"{device.name} (page)"
 
     def paired(self) -> Device | None:
-        """The paired device that sends the request. If it is not paired, send a refusal and return None."""
+        """The paired device that sent the request. If the sender is not paired, this refuses the request and returns
+        None."""
         if (device := self.device()) is None:
             self.refuse(401, "this device is not paired")
         return device
 
 
 class Asset(Guarded):
-    """Serves a file of the page."""
+    """Serves the page's files."""
 
     def get(self, path: str) -> None:
-        """Answer with the file, from memory."""
+        """Answer with a file. All files are in memory."""
         found = self.page.assets.get(f"/{path}")
         if found is None:
             self.refuse(404, "there is nothing here")
@@ -128,38 +129,39 @@ class Asset(Guarded):
 
 
 class State(Guarded):
-    """Serves the state, for a page whose websocket does not work."""
+    """Serves the robot's state, for a page whose websocket does not work."""
 
     def get(self) -> None:
-        """Answer with everything at once."""
+        """Answer with all values of the present state."""
         self.page.look()
         self.finish({"t": time.time(), "live": self.page.watcher.values, "view": self.page.watcher.shown})
 
 
 class StopHandler(Guarded):
-    """Carries out a STOP, for everyone who can open the page."""
+    """Stops the robot. Anyone who can open the page may do this."""
 
     async def post(self) -> None:
-        """Answer when the stop is written, or after 0.3 s if it is not; then the page asks again."""
+        """Request the stop, and answer as soon as it is written. If it is not written within 0.3 s, the answer says so,
+        and the page asks again."""
         status, found = await self.page.stopped(self.page.asked.ask(self.who(), self.body().get("id")))
         self.set_status(status)
         self.finish(found)
 
 
 class Check(Guarded):
-    """Answers a request that is like STOP but changes nothing. When the page opens, it finds out in this way whether
-    its requests are let in."""
+    """Answers a request like STOP that stops nothing. The page sends it when it opens, to find out whether the robot
+    accepts its requests."""
 
     def post(self) -> None:
-        """Answer that they are."""
+        """Answer that the request was accepted."""
         self.finish({"ok": True})
 
 
 class Me(Guarded):
-    """Reports the rights of this device."""
+    """Tells the page what this device may do."""
 
     def get(self) -> None:
-        """Answer with its name, if it is paired."""
+        """Answer with the device's name if it is paired, and whether it may drive."""
         device = self.device()
         drives = device is not None and self.page.driving.on
         self.finish(
@@ -173,11 +175,11 @@ class Me(Guarded):
 
 
 class Pair(Guarded):
-    """Pairs this device, if it knows the code."""
+    """Pairs a device that sends the right code."""
 
     def post(self) -> None:
-        """Put the token into the cookie, where the page can't read it. The page gets only the key that proves that the
-        operator is present."""
+        """Pair the device. Its token goes into a cookie that scripts can't read. The page gets only the key for proving
+        that the operator is present."""
         if not self.page.pairing_on:
             self.refuse(403, "pairing is off on this robot")
             return
@@ -191,7 +193,8 @@ class Pair(Guarded):
         except (devices.NotPaired, FailstopError) as error:
             self.refuse(403, str(error))
             return
-        self.page.pair_limit.give_back(address)  # one address may be a room of phones that have the code
+        # Many phones in one room may share this address, so a correct code must not use up the limit.
+        self.page.pair_limit.give_back(address)
         secure = self.scheme == "https"
         self.set_cookie(
             self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"
@@ -201,10 +204,10 @@ class Pair(Guarded):
 
 
 class Forget(Guarded):
-    """Ends the pairing of this device."""
+    """Unpairs this device."""
 
     def post(self) -> None:
-        """Remove the device, because it has asked for it."""
+        """Remove the device from the paired devices."""
         if device := self.paired():
             try:
                 self.page.revoke(device.id)
@@ -216,11 +219,11 @@ class Forget(Guarded):
 
 
 class Verb(Guarded):
-    """Disables motion or lowers the speed limit, for paired devices. Requests for which a button must be held come only
-    through the websocket."""
+    """Disables motion or lowers the speed limit, for paired devices. Anything for which a button must be held goes
+    through the websocket instead."""
 
     async def post(self, verb: str) -> None:
-        """Answer with the gate's decision."""
+        """Answer with the gate's decision about `verb`."""
         if (device := self.paired()) is None:
             return
         if not self.page.verb_limit.spend(verb, time.monotonic()):
@@ -243,16 +246,16 @@ class Cards(Guarded):
     """Serves the list of saved incidents."""
 
     async def get(self) -> None:
-        """Answer with the incidents, the newest first."""
+        """Answer with the newest incidents, the newest first."""
         self.finish({"incidents": await self.page.incidents.cards()})
 
 
 class Story(Guarded):
-    """Serves an incident's story and picture. A request does not wait for them: if they are not made yet, the page asks
-    again."""
+    """Serves the story and the picture of an incident. If they are not ready yet, the answer says so at once, and the
+    page asks again later."""
 
     async def get(self, identity: str, what: str) -> None:
-        """Answer with the picture as PNG, or with the story as lines."""
+        """Answer with the picture as PNG, or with the story as a list of lines."""
         if not self.page.story_limit.spend(str(self.request.remote_ip), time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
         elif not await self.page.incidents.known(identity):

@@ -1,9 +1,9 @@
-"""Hold: makes sure that a button is really held for two seconds, by messages of the page and the robot's clock. Pure:
-the times are arguments (time.monotonic()).
+"""Hold: makes sure that a person really holds a button for two seconds. It uses the page's messages and the robot's
+clock. Pure: times are arguments (time.monotonic()).
 
-The page reports that the hold begins, and then again and again that it lasts. When it has lasted long enough, the robot
-asks, and the page must confirm that the button is still held. Each message must come in time. So a page that was held
-up, or a network that delivers late, can't make a request for a button that nobody holds any more.
+The page sends a message when the hold begins, and then ten per second while it lasts. After two seconds the robot asks,
+and the page must confirm that the button is still held. If a message comes too late, the hold fails. So a frozen page
+or a slow network can't send a request for a button that was released long ago.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import dataclasses
 
 HOLD_S = 2.0
 GAP_S = 0.6
-"""The longest time between two messages that the button is still held, s. The page sends ten per second."""
+"""The longest allowed time between two messages about the hold, s. The page sends ten per second."""
 SURE_S = 0.6
-"""How long the page may take to confirm that the button is still held, s."""
+"""How long the page may take to confirm the hold after the robot has asked, s."""
 LATE = "this page or its network was held up, so hold again"
 NEWER_STOP = "the robot was stopped again: look at that stop first, then hold again"
 
@@ -25,28 +25,29 @@ class Hold:
 
     verb: str
     identity: str
-    """The page's id of this hold."""
+    """The id that the page gave to this hold."""
     epoch: int
-    """The epoch that the person has seen, which stands for the newest stop that the page knew."""
+    """The epoch that the page had when the hold began. It identifies the newest stop that the person could see."""
     percent: int | None
-    """The speed limit that is asked for, percent."""
+    """The requested speed limit, in percent. None for other requests."""
     begun_s: float
     heard_s: float
     enough_s: float | None = None
-    """When the button had been held long enough."""
+    """When the button had been held for HOLD_S. None until then."""
 
     def held(self, now_s: float) -> bool:
-        """The page reports that the button is still held. False if the report comes too late."""
+        """Note a message that the button is still held. Returns False if the message came too late."""
         gap_s, self.heard_s = now_s - self.heard_s, now_s
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """True once, when the button was held long enough, so that the page must be asked."""
+        """Returns True once, when the button has been held for HOLD_S. Then ask the page to confirm."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s
         return True
 
     def sure(self, now_s: float) -> bool:
-        """The page confirms that the button is still held. False if the robot has not asked, or asked too long ago."""
+        """Note the page's confirmation that the button is still held. Returns False if the robot has not asked for it,
+        or if it came too late."""
         return self.held(now_s) and self.enough_s is not None and now_s - self.enough_s <= SURE_S

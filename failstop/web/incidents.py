@@ -1,5 +1,6 @@
-"""Incidents: lists the saved incidents as cards. Their stories and pictures are made by `failstop incident` in a
-separate process, because matplotlib is several times as large as the whole page."""
+"""Incidents: lists the saved incidents as cards, and makes their stories and pictures. These are made by `failstop
+incident` in a separate process, because drawing needs matplotlib, which takes several times the memory of the whole
+page."""
 
 from __future__ import annotations
 
@@ -27,16 +28,16 @@ ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
 
 @dataclasses.dataclass
 class Made:
-    """The story and the picture of an incident. None: not made yet."""
+    """The story and the picture of an incident. Each is None until it is made."""
 
     story: list[dict[str, Any]] | None = None
     picture: bytes | None = None
-    """The picture as PNG; empty if it can't be drawn here."""
+    """The picture as PNG. It is empty if this computer can't draw it."""
 
 
 class Incidents:
-    """The incidents of one service. It makes one story or picture at a time. A request that comes while another is
-    being made does not wait: it is answered at once that this one is not ready."""
+    """The incidents of one service. Only one story or picture is made at a time. A request for another one is answered
+    at once with "not ready"."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -47,7 +48,7 @@ class Incidents:
         self._looked_s = float("-inf")
 
     async def cards(self) -> list[dict[str, Any]]:
-        """The incidents, the newest first."""
+        """The newest incidents as cards, the newest first."""
         if time.monotonic() - self._looked_s > FRESH_S:
             self._looked_s = time.monotonic()
             found = await asyncio.get_running_loop().run_in_executor(None, self._heads)
@@ -58,17 +59,17 @@ class Incidents:
         return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
     async def known(self, identity: str) -> bool:
-        """True if one of the cards is the incident with this id."""
+        """True if one of the cards has this id."""
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """The lines of the story, with times in ms from the cause, and True if there is a picture. None: not made
-        yet."""
+        """The story's lines, with times in ms from the cause, and True if there is a picture. Each of the two values is
+        None until it is made."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
     def picture(self, identity: str) -> bytes | None:
-        """The picture as PNG; empty if it can't be drawn here; None: not made yet."""
+        """The picture as PNG. It is empty if this computer can't draw it, and None if it is not made yet."""
         return self._of(identity).picture
 
     def _of(self, identity: str) -> Made:
@@ -99,7 +100,7 @@ class Incidents:
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes:
-        """The output of `failstop incident` with these arguments; empty if it failed."""
+        """Run `failstop incident` with these arguments, and return its output. Returns b"" if it failed."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
@@ -118,7 +119,7 @@ class Incidents:
         return said if made.returncode == 0 else b""
 
     def close(self) -> None:
-        """Give up what is being made, and remove the pictures."""
+        """Cancel what is being made, and remove the pictures."""
         if self._making:
             self._making.cancel()
         self._pictures.cleanup()
@@ -130,7 +131,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The lines of the seconds around the cause, in order. If there are too many, the ones closest to the cause."""
+    """The story's lines from the seconds around the cause, in their order. If there are more than LINES, only the
+    closest to the cause."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

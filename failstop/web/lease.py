@@ -1,10 +1,11 @@
-"""Lease: proves that an operator's device is present. Pure: the times are arguments, and all of them are of the robot's
-clock.
+"""Lease: proves that an operator's device is present. Pure: times are arguments, and all are from the robot's clock.
 
-The robot sends a nonce, and the device answers with the nonce's HMAC. Only the newest two nonces count, and each only
-once. An answer proves that the device was present when the nonce was made, not when the answer came, so an answer that
-a network has held back renews nothing. A command that comes with an answer is proven by the same HMAC, and counts from
-the same time.
+The robot sends a nonce, which is a random text, and the device answers with the nonce's HMAC. An answer proves that the
+device was present when the nonce was made, whenever the answer arrives. So an answer that the network delayed does not
+count as a new sign of life. Only the two newest nonces are accepted, and each only once.
+
+A driving command can travel with an answer. The same HMAC then proves the command, and the command counts from the same
+time.
 """
 
 from __future__ import annotations
@@ -18,32 +19,35 @@ PURPOSE = b"failstop lease"
 
 
 def key_of(token: str) -> bytes:
-    """The key with which a device makes its answers. The page may know the key, but it can't read the token."""
+    """The key with which a device computes its answers. The page's scripts may know this key, but they can't read the
+    token from which it is made."""
     return hmac.digest(token.encode(), PURPOSE, "sha256")
 
 
 def answer_to(nonce: str, key: bytes) -> str:
-    """The answer of a device that has this key."""
+    """The correct answer to a nonce, from a device that has this key."""
     return hmac.digest(key, nonce.encode(), "sha256").hex()
 
 
 class Lease:
-    """Whether one operator, at one connection, is present."""
+    """Proves whether the operator at one connection is present."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
         self._open: deque[tuple[str, int]] = deque(maxlen=COUNT)
         self.proven_ns = 0
-        """The newest moment at which the operator's device is known to have been present; 0: not yet."""
+        """The newest time at which the operator's device was certainly present (the robot's monotonic clock, ns). 0
+        before the first proof."""
 
     def ask(self, random: bytes, now_ns: int) -> str:
-        """A new nonce for the device."""
+        """Make a new nonce for the device. `random`: random bytes."""
         nonce = random.hex()
         self._open.append((nonce, now_ns))
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. True if it proves something new. `said`: a command that the same answer proves."""
+        """Check an answer. Returns True if it proves that the device was present later than was known. `said`: a
+        command that came with the answer and is proved by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

@@ -6,7 +6,7 @@ MOST_KEYS = 1024
 
 
 class Limit:
-    """A token bucket for each key: `burst` requests at once, then `per_s` per second."""
+    """A token bucket for each key: it allows `burst` requests at once, and after that `per_s` requests per second."""
 
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s
@@ -14,17 +14,17 @@ class Limit:
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, key: str, now_s: float) -> bool:
-        """True if one more request of this key is allowed. `now_s`: time.monotonic(); if it went back, no tokens are
-        added."""
+        """Use up one token of this key. Returns True if there was one, so that the request is allowed. `now_s`:
+        time.monotonic(). If the time went backwards, no tokens are added."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)
-        if len(self._left) >= MOST_KEYS:  # a sender that made up so many names has no bucket worth keeping
+        if len(self._left) >= MOST_KEYS:  # drop the oldest key, so that invented keys can't fill the memory
             self._left.pop(next(iter(self._left)))
         self._left[key] = (left - 1 if left >= 1 else left), max(now_s, since_s)
         return left >= 1
 
     def give_back(self, key: str) -> None:
-        """Give back the token that the last request of this key took."""
+        """Give back the token that the last request of this key used."""
         if key in self._left:
             left, since_s = self._left[key]
             self._left[key] = (min(float(self._burst), left + 1), since_s)

@@ -1,4 +1,4 @@
-"""Messages: decodes what a browser has sent as a JSON object, or as an empty one. Pure."""
+"""Messages: decodes the JSON that a browser sends. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 
 def read(data: str | bytes) -> dict[str, Any]:
-    """The object that was sent; an empty one for anything else, even if it is nested too deeply."""
+    """The JSON object that was sent. Anything else gives an empty object, for example damaged JSON, or JSON that is
+    nested too deeply."""
     try:
         found = json.loads(data or b"{}")
     except (ValueError, RecursionError):
@@ -16,5 +17,5 @@ def read(data: str | bytes) -> dict[str, Any]:
 
 
 def whole(value: object, most: int) -> int | None:
-    """The value as a whole number from 1 to `most`; None if it is not one."""
+    """The value if it is a whole number from 1 to `most`, else None."""
     return value if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most else None

@@ -1,4 +1,4 @@
-"""Page: the state of one service's page, which its handlers share."""
+"""Page: everything that the handlers of one service's page share."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 ID_BYTES = 4
 REVOKED = 1008
-"""The code with which a websocket is closed for a reason of policy (RFC 6455)."""
+"""The code that closes a websocket for a reason of policy (RFC 6455)."""
 MOST_STOPS = 64
-"""How many websockets there may be for STOP. A page that gets none sends its STOP as a request."""
+"""How many STOP websockets may be open. A page without one sends its STOP as a plain request instead."""
 
 
 class Page:
-    """The state that the handlers share."""
+    """Everything that the handlers of the page share."""
 
     def __init__(self, name: str, settings: Settings, source: Source) -> None:
         """`source`: where the settings come from. Raises FailstopError."""
@@ -79,17 +79,19 @@ class Page:
         return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
-        """The addresses at which the page listens."""
+        """Where the page listens: its scheme, address and port, its certificate's fingerprint, and its origin behind a
+        proxy."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
         return {**where, "origin": self.origin}
 
     def look(self) -> None:
-        """Read the state now, for a single request."""
+        """Read the robot's state now."""
         self.watcher.look(time.monotonic(), time.time())
 
     async def stopped(self, request: stopping.Request) -> tuple[int, dict[str, Any]]:
-        """Wait until a stop is written, for at most WRITTEN_S. Returns an HTTP status and the answer for the page."""
+        """Wait until a requested stop is written, for at most WRITTEN_S. Returns the HTTP status and the answer for the
+        page."""
         if request.error:
             return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
         written = await stopping.written(self.name, request.asked_ns)
@@ -98,17 +100,17 @@ class Page:
         return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
     def newest_stop(self) -> int:
-        """The present epoch, which stands for the newest stop; 0 if no service is running."""
+        """The present epoch, which identifies the newest stop. 0 if no service is running."""
         self.look()
         return self.watcher.state.epoch if self.watcher.state else 0
 
     def limit(self) -> int:
-        """The present speed limit, in percent of the settings' speeds."""
+        """The present speed limit, in percent of the settings' speeds. 0 if no service is running."""
         self.look()
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 
     def pair(self, code: str, name: str) -> str:
-        """Pair a new device, and return its token. Raises NotPaired, FailstopError."""
+        """Pair a new device, and return its token. Raises NotPaired if the code is not valid, or FailstopError."""
         self.pairing.redeem(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
         made = devices.Device(
@@ -123,15 +125,16 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """Revoke the device with this id, and return its name; empty if there is none. Raises FailstopError if it could
-        not be saved, so that it counts only until the page ends."""
+        """Unpair the device with this id. Returns its name, or "" if no device has this id. Raises FailstopError if
+        this could not be saved. The device is then unpaired only until the page ends."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:
             return ""
         for viewer in its:
             self.attending.end(viewer)
-            viewer.close(REVOKED, "this device is not paired any more")  # it connects again, and asks what it may
+            # The device connects again, and then learns what it may still do.
+            viewer.close(REVOKED, "this device is not paired any more")
         try:
             self._storage.keep_fewer(self.devices)
         except FailstopError as error:
@@ -139,7 +142,7 @@ class Page:
         return found.name
 
     def join(self, viewer: Viewer) -> None:
-        """Somebody opens the page, so the state is read from now on."""
+        """Add a viewer, and start reading the state if it is the first one."""
         self.viewers.append(viewer)
         if not self._timer.is_running():
             self._timer.start()
@@ -147,7 +150,7 @@ class Page:
         viewer.show(time.monotonic(), time.time())
 
     def leave(self, viewer: Viewer) -> None:
-        """End a viewer, and its operator's attendance. With the last viewer the reading of the state ends."""
+        """Remove a viewer, and end its operator's attendance. Without viewers, the state is not read."""
         self.attending.end(viewer)
         if viewer in self.viewers:
             self.viewers.remove(viewer)
@@ -161,7 +164,7 @@ class Page:
             viewer.show(now_s, unix_s)
 
     def close(self) -> None:
-        """Release everything."""
+        """Close everything that the page has open."""
         self._timer.stop()
         self.stop_pipe.close()
         self.attending.close()

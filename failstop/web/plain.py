@@ -1,4 +1,5 @@
-"""Plain: answers a browser that speaks HTTP to the HTTPS port, as happens if somebody has not typed `https://`."""
+"""Plain: answers a browser that speaks HTTP on the HTTPS port. This happens if somebody leaves out `https://` in the
+address."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """The answer to a request whose first bytes may be missing: a sentence, and a redirect to HTTPS at the same name,
-    if the robot answers to that name."""
+    """The answer to such a request: a sentence, and a redirect to HTTPS at the same host name. It redirects only if
+    that is the robot's name. The first bytes of the request may be missing."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -36,8 +37,8 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Make sure that a TLS connection gets an answer before it is closed, if it is closed because the browser has
-    spoken HTTP."""
+    """Make sure that a browser which speaks HTTP gets an answer before its TLS connection is closed. `known`: the
+    robot's host names."""
     close_fd = stream.close_fd
 
     def answered() -> None:
@@ -50,8 +51,8 @@ def attend(stream: IOStream, known: frozenset[str]) -> None:
 
 
 def _send_answer(connection: socket.socket, known: frozenset[str]) -> None:
-    """Send the answer around TLS, which has taken only the first bytes. Everything must be read before the end, because
-    otherwise the kernel resets the connection and the answer is lost."""
+    """Send the answer without TLS. The rest of the request is read first, because otherwise the kernel would reset the
+    connection, and the answer would be lost."""
     request = socket.socket.recv(connection, MOST)
     socket.socket.send(connection, answer(request, known))
     socket.socket.shutdown(connection, socket.SHUT_WR)

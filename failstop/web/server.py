@@ -1,4 +1,4 @@
-"""Server: the page of one service, as a process."""
+"""Server: the process that serves the page of one service."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PING_S = 5.0
 
 
 def application(page: Page) -> Application:
-    """The application, with all addresses that the page answers."""
+    """The web application, with all paths that the page serves."""
     rows = [
         ("/api/state", handlers.State),
         ("/api/stop", handlers.StopHandler),
@@ -50,9 +50,9 @@ def application(page: Page) -> Application:
 
 
 async def serve(name: str, settings: Settings, source: Source) -> None:
-    """Serve until SIGTERM or SIGINT. Raises FailstopError, or OSError if it can't listen at the address."""
-    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # garbage from outside must not fill the journal
-    # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
+    """Serve the page until SIGTERM or SIGINT. Raises FailstopError, or OSError if it can't listen at the address."""
+    logging.getLogger("tornado.general").setLevel(logging.ERROR)  # malformed requests must not fill the journal
+    # tornado's timers use the wall clock. If it were set back by an hour, the state would not be read for an hour.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
     page = Page(name, settings, source)
     listening = bind_sockets(page.port, page.address)

@@ -1,5 +1,5 @@
-"""Sockets: the two websockets of a page. One shows the state and carries the requests of a paired device; the other is
-only for STOP."""
+"""Sockets: the page's two websockets. One shows the state and carries the requests of paired devices. The other one
+carries only STOP."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 MOST_VIEWERS = 64
 MOST_ASKED = 8
 STUCK_S = 10.0
-"""A viewer that receives nothing for this long, s, is closed."""
+"""How long a viewer may receive nothing, s. Then its connection is closed."""
 MOST_EPOCH = 1 << 62
 HELD_VERBS = ("reset", "enable", "limit")
 
 
 class Socket(Guarded, WebSocketHandler):
-    """What both websockets share."""
+    """The base of both websockets."""
 
     def check_origin(self, origin: str) -> bool:
-        """True, because the guard has checked the origin already."""
+        """Always True, because the guard has checked the origin already."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """The connection has become a websocket."""
+        """Take the connection out of the server's limit, because it has become a websocket."""
         if self.ws_connection and self.ws_connection.stream:
             self.page.let_in(self.ws_connection.stream)
 
     def later(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Start to send a message; None if the connection is gone."""
+        """Start sending a message, without waiting for it. Returns None if the connection is closed."""
         try:
             return asyncio.ensure_future(_quiet(self.write_message(message)))
         except WebSocketClosedError:
@@ -48,17 +48,18 @@ class Socket(Guarded, WebSocketHandler):
 
 
 class StopSocket(Socket):
-    """STOP, for everyone who can open the page, on a connection on which nothing else waits."""
+    """Carries STOP from anyone who can open the page. Nothing else is sent on this connection, so a STOP waits for
+    nothing."""
 
     def open(self, *_: str, **__: str) -> None:
-        """The connection is ready for a STOP."""
+        """Prepare everything that a STOP needs, before it comes."""
         super().open()
         self.page.stops.add(self, str(self.request.remote_ip))
         self.page.stop_pipe.prepare()
         self._who = self.who()
 
     def on_close(self) -> None:
-        """The connection is closed."""
+        """Remove this connection from the page."""
         self.page.stops.leave(self)
 
     def initialize(self, page: Page) -> None:
@@ -67,8 +68,8 @@ class StopSocket(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def on_message(self, message: str | bytes) -> None:
-        """Request the stop with this id, before anything else is done. If many come at once, not each one is
-        answered."""
+        """Request the stop with this id before doing anything else. If more than MOST_ASKED stops wait for their
+        answers, further ones are requested but not answered."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
@@ -82,7 +83,7 @@ class StopSocket(Socket):
 
 
 class Live(Socket):
-    """Sends the state to one viewer, ten times per second."""
+    """Sends the state to one viewer, ten times per second, and receives the requests of a paired device."""
 
     def initialize(self, page: Page) -> None:
         """`page`: the page that this websocket belongs to."""
@@ -94,8 +95,8 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Check the guard's rules, and that there is room for one more viewer. A paired device may take the place of
-        another viewer."""
+        """Check the request by the guard, and check that there is room for one more viewer. If there is none, a paired
+        device takes the place of a viewer that is not paired."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
@@ -106,18 +107,18 @@ class Live(Socket):
                 self.page.leave(strangers[0])
 
     def open(self, *_: str, **__: str) -> None:
-        """A viewer has connected."""
+        """Add this viewer to the page."""
         super().open()
         self.page.join(self)
 
     def on_close(self) -> None:
-        """A viewer has left."""
+        """Remove this viewer from the page."""
         self._hold = None
         self.page.leave(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Handle a message: the viewer begins to attend, answers a nonce, stops attending, or holds a button. Anything
-        else is ignored."""
+        """Handle a message of the page: it begins or ends attending, answers a nonce, lets go of the stick, or holds a
+        button. Other messages are ignored."""
         found = messages.read(message)
         if found.get("attend") is True:
             self._attend()
@@ -133,8 +134,8 @@ class Live(Socket):
             self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
-        """Handle an answer: it proves that the device is present, and may bring a command. An answer without a command
-        means that the stick is not held."""
+        """Handle the answer to a nonce. It proves that the device is present, and may contain a driving command. An
+        answer without a command means that nobody holds the stick."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
@@ -186,7 +187,8 @@ class Live(Socket):
             self.send({"hold": held.identity, "enough": True})
 
     async def _ask(self, held: hold.Hold) -> None:
-        """Make the request for which the button was held, unless the person can't have known about the newest stop."""
+        """Make the request for which the button was held. It is refused if there is a newer stop than the person could
+        see."""
         if self.device() is None:  # revoked since
             done, said = False, "this device is not paired"
         elif self.page.newest_stop() != held.epoch:
@@ -201,7 +203,8 @@ class Live(Socket):
         self.send({"hold": identity, "done": done, "said": said})
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send what is new. This never waits: a viewer that has not received the last message misses this one."""
+        """Send the newest values. This never waits: if the viewer has not received the last message yet, it gets none
+        this time."""
         if self._sending is not None and not self._sending.done():
             connection = self.ws_connection
             if now_s - self._sent_s > STUCK_S and connection and connection.stream:
@@ -219,7 +222,7 @@ class Live(Socket):
         self._sent_s = now_s
 
     def send(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Start to send a message; a viewer that has just left gets none."""
+        """Start sending a message. If the viewer has just left, it is removed from the page."""
         sending = self.later(message if "t" in message else {"t": time.time(), **message})
         if sending is None:
             self.page.leave(self)

@@ -1,4 +1,4 @@
-"""Source: where the page's settings come from, so that people know which file to change. Pure."""
+"""Source: where the page's settings come from. It is shown to people, so that they know which file to change. Pure."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """The source of the page's settings."""
+    """Where the page's settings come from."""
 
     path: str = ""
-    """The path of the file; empty if none was found, so that every setting has its default."""
+    """The path of the settings file. Empty if no file was found, and then all settings have their defaults."""
     running: bool = False
-    """True if the settings come from the running service, whatever file it was started with."""
+    """True if the settings come from the running service."""
 
     def described(self) -> str:
-        """The source in words."""
+        """A description for people, for example the file's path."""
         if self.running:
             return "the settings of the running service"
         return self.path or "the defaults, because no settings file was found"
 
     def remedy(self, change: str) -> str:
-        """How to change a setting. `change`: the new line for the file."""
+        """What a person must do to change a setting. `change`: the new line for the settings file."""
         if self.running:
             return f"set {change} in the service's settings file, then restart the service and the page"
         if self.path:

@@ -1,4 +1,4 @@
-"""Stopping: requests stops for the page, through the stop pipe, to which every local user may write."""
+"""Stopping: requests stops through the service's stop pipe. Every local user may write to that pipe."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from failstop.messages import layout, records
 from failstop.shm import bell
 
 WRITTEN_S = 0.3
-"""For how long a request is followed, s. If the stop is not written by then, the page repeats the request."""
+"""How long to wait until a stop is written, s. After that, the page sends its request again."""
 LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
@@ -23,7 +23,7 @@ REASON = "STOP on the page"
 
 
 class Request(Data):
-    """A stop that was requested, or the reason why it could not be."""
+    """A stop that was requested, or the error that prevented it."""
 
     unix_s: float
     asked_ns: int = 0
@@ -31,18 +31,18 @@ class Request(Data):
 
 
 class Pipe:
-    """The stop pipe of the running service. It stays open between two stops, because opening it takes longer than the
+    """The stop pipe of the running service. It is kept open between stops, because opening it takes longer than a
     stop."""
 
     def __init__(self, name: str) -> None:
-        """`name`: the service."""
+        """`name`: the name of the service."""
         self._name = name
         self._path = ""
         self._fd = -1
         self._same: os.stat_result | None = None
 
     def prepare(self) -> None:
-        """Open the pipe of the service that is running now, unless it is open already."""
+        """Open the stop pipe of the running service, unless it is open already."""
         if self._is_held():
             return
         self.close()
@@ -72,7 +72,8 @@ class Pipe:
 
 
 class Asked:
-    """The latest requests, by the id that the page gives to each. A request may arrive on two ways, and is one stop."""
+    """The latest stops that pages requested. A page may send a stop by websocket and as a plain request, with the same
+    id. Both together count as one stop."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -80,7 +81,7 @@ class Asked:
         self._ids: dict[str, int] = {}
 
     def ask(self, who: str, identity: object) -> Request:
-        """Request a stop at once, unless that was done before for this id."""
+        """Request a stop at once, unless a stop with this id was requested before."""
         unix_s = time.time()
         try:
             return Request(unix_s, self._ask(who, str(identity)[:MOST_OF_AN_ID] if identity else ""))
@@ -88,8 +89,8 @@ class Asked:
             return Request(unix_s, error=error)
 
     def _ask(self, who: str, known: str) -> int:
-        """Request a stop, and return when that was (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it was
-        not requested."""
+        """Request a stop. Returns when it was requested (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it
+        could not be requested."""
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
@@ -102,8 +103,9 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait for a stop that was requested at `asked_ns`. True once the port owner has reported that one is written to
-    the board, or the supervisor, which writes it if no port owner can. False without a board."""
+    """Wait until a stop is written that was requested at `asked_ns`. Returns True once the port owner reports a stop as
+    written to the board. If no port owner can write it, the supervisor does, and its report counts too. Returns False
+    after WRITTEN_S, and if there is no service or no board."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

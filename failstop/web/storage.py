@@ -1,4 +1,4 @@
-"""Storage: the page's files, which are the paired devices and its certificate, and where the commands find them."""
+"""Storage: the page's files, which are the list of paired devices and the certificate for HTTPS."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ KEY = "key.pem"
 CERTIFICATE = "certificate.pem"
 CONTROL = "control"
 DAYS = 825
-"""How long a certificate is valid, days: as long as browsers accept."""
+"""How long a certificate is valid, days. Browsers accept no longer time."""
 RENEW_S = 30 * 86400.0
 OPENSSL_S = 30.0
 
 
 def folder(name: str, environ: Mapping[str, str]) -> str:
-    """The folder in which the page of a service keeps its files: systemd's $STATE_DIRECTORY, else a folder below
-    $XDG_STATE_HOME or ~/.local/state."""
+    """The folder for the page's files: systemd's $STATE_DIRECTORY, else a folder below $XDG_STATE_HOME or
+    ~/.local/state."""
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
     home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
@@ -40,15 +40,16 @@ def folder(name: str, environ: Mapping[str, str]) -> str:
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """The folders in which the page of that service may be: one that this user has started, or the system's."""
+    """The folders in which the running page of this service may have its files: this user's folder, and the system's. A
+    command looks for the page in both."""
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
 class Storage:
-    """The folder of a running page. Only this page writes there."""
+    """The folder with a running page's files. Only this page writes to it."""
 
     def __init__(self, place: str) -> None:
-        """Raises FailstopError."""
+        """Makes the folder if it does not exist. Raises FailstopError."""
         self.place = place
         try:
             os.makedirs(place, exist_ok=True)
@@ -61,8 +62,8 @@ class Storage:
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:
-        """The paired devices. Raises FailstopError if the file can't be read, because nobody must be locked out, or let
-        in, without a message."""
+        """The paired devices. Raises FailstopError if their file can't be read, because otherwise all devices would
+        lose their rights without a message."""
         try:
             with open(durable.open_own(self.path(DEVICES)), "rb") as file:
                 return Devices.load(file.read())
@@ -74,12 +75,13 @@ class Storage:
             raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair your devices again") from None
 
     def keep(self, devices: Devices) -> None:
-        """Save the devices, whole or not at all. Raises FailstopError."""
+        """Save the devices. If that fails, the old file stays as it was. Raises FailstopError."""
         self._write(DEVICES, devices.dump())
 
     def keep_fewer(self, devices: Devices) -> None:
-        """Save the devices after one was revoked. If the disk is full, the old file is overwritten, which needs no
-        room. A crash in the middle of that leaves a damaged file, which lets nobody in. Raises FailstopError."""
+        """Save the devices after one was revoked. This works even if the disk is full, because the old file is then
+        overwritten in place. If the computer crashes in the middle of that, the file is damaged, and no device is let
+        in. Raises FailstopError."""
         try:
             self.keep(devices)
         except FailstopError as error:
@@ -107,8 +109,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """The context for HTTPS with the page's own certificate, which is made at the first start, and again before it
-        expires. Raises FailstopError."""
+        """The TLS context for HTTPS. It uses the page's own certificate, which is made at the first start, and again
+        before it expires. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -120,7 +122,7 @@ class Storage:
         return context
 
     def fingerprint(self) -> str:
-        """The SHA-256 of the certificate, as browsers show it; empty if there is no certificate."""
+        """The SHA-256 of the certificate, in the form that browsers show. Empty if there is no certificate."""
         try:
             with open(self.path(CERTIFICATE), encoding="ascii") as file:
                 found = sha256(ssl.PEM_cert_to_DER_cert(file.read())).hexdigest().upper()
@@ -129,7 +131,7 @@ class Storage:
         return ":".join(found[at : at + 2] for at in range(0, len(found), 2))
 
     def _valid(self) -> bool:
-        """True if there is a certificate that stays valid for a while."""
+        """True if there is a certificate that is valid for at least RENEW_S more."""
         if not (os.path.exists(self.path(KEY)) and os.path.exists(self.path(CERTIFICATE))):
             return False
         words = ("x509", "-in", self.path(CERTIFICATE), "-noout", "-checkend", str(int(RENEW_S)))
@@ -157,7 +159,7 @@ class Storage:
 
 
 def _openssl(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run openssl. Raises FailstopError if it is not installed."""
+    """Run openssl with these arguments. Raises FailstopError if it is not installed, or does not end in time."""
     try:
         return subprocess.run(("openssl", *words), capture_output=True, text=True, timeout=OPENSSL_S, check=False)
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""View: turns a state into the plain values that the page shows. Pure: the times are arguments.
+"""View: turns the robot's state into the plain values that the page shows. Pure: times are arguments.
 
-The word can be read at arm's length. The reason is one sentence. The next step is something that a person does with the
-buttons of the page, not with commands.
+The page shows one large word that can be read from a distance, a reason in one sentence, and the next step. The next
+step is something that a person does with the page's buttons, not a command.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from failstop.api.state import State, Stop
 
 BAD = "bad"
-"""The role of the word's colour if the wheels may turn, nobody knows whether they do, or no service is running."""
+"""The colour role of the large word if the wheels may be turning, if nobody knows whether they turn, or if no service
+is running."""
 ROLES = {
     **dict.fromkeys((verdict.MOVING, verdict.WRITTEN, verdict.STOPPING), "moves"),
     **dict.fromkeys((verdict.STOPPED, verdict.TOLD_TO_STOP), "stopped"),
@@ -31,7 +32,8 @@ MOST_EVENTS = 40
 
 
 def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
-    """All values that change seldom. `events`: the events of this run, the oldest first."""
+    """All values that change rarely. `events`: the events of this run, the oldest first. `now_s`: the present Unix
+    time."""
     return {
         "name": state.name,
         "word": verdict.large_word(state),
@@ -70,15 +72,15 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """Values that change all the time: forward, left, turn, vibration (mrad/s; None: the IMU is silent), the age of the
-    gate's record (ms), in words how a steered base is steered while it drives, and what is seen of the wheels."""
+    """The values that change all the time, as a list: forward, left and turning speed, vibration (mrad/s, or None while
+    the IMU is silent), the age of the gate's record (ms), the steering in words, and what the wheels are seen to do."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
 
 
 def absent(note: str) -> dict[str, Any]:
-    """The values if no service is running."""
+    """The values to show if no service is running. `note`: why there is none."""
     return {
         "name": "",
         "word": verdict.NO_SERVICE,
@@ -111,8 +113,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """The last stop, with its three times in words. An empty text means that this is not proved; `lacks` then says what
-    is known instead, if anything is."""
+    """The last stop, with its three proofs in words. If a proof is missing, its text is empty, and `lacks` has a text
+    about it. None if there was no stop."""
     if stop is None:
         return None
     return {
@@ -130,21 +132,22 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def _unseen(stop: Stop) -> str:
-    """Why it was not observed that the wheels came to rest; empty if that is not known, or not yet."""
+    """Why nobody saw the wheels come to rest after this stop. Empty if the reason is not known."""
     if not stop.observed_by:
         return "no IMU"
     return "" if stop.observed_s is None else proofs.NEVER_SEEN[stop.observed_by]
 
 
 def _written(stop: Stop) -> str:
-    """The time until the bytes were sent; empty if they were not sent, or are still in the kernel."""
+    """How long it took until the stop's bytes were sent, in words. Empty if they were not sent, or if the kernel still
+    holds them."""
     if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
 
 
 def _role(state: State) -> str:
-    """The role of the word's colour."""
+    """The colour role of the large word."""
     return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
 
 
@@ -156,7 +159,7 @@ def _why(state: State) -> str:
 
 
 def _held(state: State) -> str:
-    """Why the wheels are stopped, or how they move."""
+    """Why the wheels are stopped, or else how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause, verdict.reached(state))[0])
     if state.block:
@@ -165,7 +168,7 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """Why a reset, an enable or a disable would be refused, each as a clause; empty if it would not."""
+    """For reset, enable and disable: why the request would be refused, as a clause. Empty if it would be granted."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
@@ -174,7 +177,7 @@ def _obstacles(state: State) -> dict[str, str]:
 
 
 def _first(state: State, goal: Purpose) -> str:
-    """The first step that is needed before a request can succeed."""
+    """The first thing that must be done before a request can be granted. Empty if nothing must be done."""
     first = next(iter(steps.before(state, goal)), None)
     if first is None:
         return ""

@@ -1,4 +1,4 @@
-"""Viewer: somebody who looks at the page, by any kind of connection."""
+"""Viewer: what the page needs to know about a connection of somebody who looks at it."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ class Closing(Protocol):
     """A connection that the page may close."""
 
     def close(self, code: int | None = None, reason: str | None = None) -> None:
-        """Close it. `code`: the code with which a websocket is closed."""
+        """Close the connection. `code`: the code that closes a websocket (RFC 6455)."""
 
 
 class Viewer(Closing, Protocol):
-    """A connection that shows the state."""
+    """A connection to somebody who watches the robot's state."""
 
     def device(self) -> Device | None:
-        """The paired device; None for anyone who may only watch and stop."""
+        """The viewer's paired device. None if it is not paired, so that it may only watch and stop."""
 
     def who(self) -> str:
-        """The viewer's name, for people."""
+        """The viewer's name, to show to people."""
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send what is new at that time (CLOCK_MONOTONIC and Unix time, s)."""
+        """Send the newest values. `now_s`: CLOCK_MONOTONIC, s. `unix_s`: Unix time, s."""

@@ -1,4 +1,4 @@
-"""Watcher: reads the service's state once for all viewers, while there are any."""
+"""Watcher: reads the robot's state for all viewers together, so that each further viewer costs little."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 
 PERIOD_S = 0.1
 SLOW_S = 0.5
-"""The time between two updates of things that people read, s, unless something important has changed."""
+"""How often to update the values that people read, s. If something important changes, they are updated at once."""
 AGAIN_S = 0.5
-"""How often to look for a service while none is running, s."""
+"""How often to look for a service, s, while none is running."""
 
 
 class Watcher:
-    """The newest state, and the values that the page shows."""
+    """The robot's newest state, and the values that the page shows."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.state: State | None = None
         self.shown: dict[str, Any] = view.absent("")
-        """The values that change seldom."""
+        """The values that change rarely."""
         self.values: list[Any] | None = None
-        """The values that change all the time; None while no service is running."""
+        """The values that change all the time. None while no service is running."""
         self.number = 0
-        """Counts the changes of `shown`."""
+        """How often `shown` has changed."""
         self._follower: Follower | None = None
         self._note = f"no service named {name!r} is running"
         self._vibration = Vibration()
@@ -40,7 +40,8 @@ class Watcher:
         self._text = ""
 
     def look(self, now_s: float, unix_s: float) -> None:
-        """Read the state. Call it every PERIOD_S, or when somebody asks. `now_s`: time.monotonic()."""
+        """Read the state. Call it every PERIOD_S while there are viewers, and before a single request. `now_s`:
+        time.monotonic(). `unix_s`: Unix time."""
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None

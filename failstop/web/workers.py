@@ -1,4 +1,5 @@
-"""Workers: carry out the requests of paired devices. Each request takes a client slot for as long as it lasts."""
+"""Workers: carries out the requests of paired devices in threads. A running request occupies one of the service's
+client slots."""
 
 from __future__ import annotations
 
@@ -9,13 +10,14 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
-"""Requests for which a touch is enough. For the others, and for a higher limit, a button must be held."""
+"""Requests that happen at a touch. For all others, and for a higher speed limit, a button must be held."""
 MOST_AT_WORK = 4
 
 
 class Workers:
-    """Each request has a thread. So one that takes long, such as an enable with an arm, delays no STOP and no disable.
-    It also delays no reset, which could then clear a stop that its operator did not know of."""
+    """Carries out each request in its own thread. So a slow request, such as an enable with an arm, delays no STOP and
+    no other request. A delayed reset would even be dangerous, because it could clear a stop that its operator has not
+    seen."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -23,7 +25,8 @@ class Workers:
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
-        """Returns (done, answer). `percent`: the speed limit; `epoch`: the newest stop that the person knew of."""
+        """Carry out a request. Returns (True if it was granted, the answer in words). `percent`: the speed limit.
+        `epoch`: the epoch of the newest stop that the person has seen."""
         if self._waiting >= MOST_AT_WORK:
             return False, "the page is busy: try again in a moment"
         self._waiting += 1
@@ -46,5 +49,5 @@ class Workers:
             return False, str(error)
 
     def close(self) -> None:
-        """End without waiting for running requests."""
+        """End without waiting for requests that are still running."""
         self._threads.shutdown(wait=False, cancel_futures=True)
