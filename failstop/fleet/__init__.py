@@ -1,8 +1,8 @@
-"""Fleet: watch and stop robots from another computer. It has the metrics, each robot's state on a broker, and a stop of
-the whole fleet.
+"""Fleet: lets you watch and stop robots from another computer. It has the metrics for Prometheus, each robot's state on
+an MQTT broker, and a stop of the whole fleet.
 
-Nothing here is on the stop path, and nothing here stops a robot that has lost its connection: a broker reports a lost
-robot only after seconds.
+No stop of a robot depends on the fleet, and the fleet does not stop a robot that loses its connection. A broker notices
+a lost robot only after seconds, so this could not be done in time.
 """
 
 from __future__ import annotations
@@ -11,4 +11,4 @@ from failstop.api.errors import FailstopError
 
 
 class FleetError(FailstopError):
-    """A setting of the fleet, a key or the broker does not work; the message says what to do."""
+    """A setting of the fleet, its key or the broker does not work. The message says what to do."""

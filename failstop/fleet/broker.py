@@ -1,4 +1,4 @@
-"""Broker: a connection to the broker that is made again whenever it breaks. A thin shell around paho-mqtt, without its
+"""Broker: a connection to the MQTT broker that is made again whenever it breaks. It uses paho-mqtt without its
 threads."""
 
 from __future__ import annotations
@@ -26,40 +26,43 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 CONNECT_S = 3.0
-"""How long connecting may take, s."""
+"""How long an attempt to connect may take, s."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
-"""The longest time between two attempts to connect, s. Each wait is twice as long as the one before, up to this."""
+"""The longest wait between two attempts to connect, s. Each wait is twice as long as the one before, until it reaches
+this."""
 SPREAD = 0.2
-"""Each wait is made longer or shorter by up to this share at random, so that not all robots connect at once to a broker
-that comes back."""
+"""The share by which each wait is made longer or shorter at random. So not all robots connect at the same moment to a
+broker that comes back."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
-"""A client that can reach the broker is connected again within this time, s."""
+"""How long it takes at most, s, until a client is connected again to a broker that it can reach."""
 NOT_YET = "not connected yet"
 NO_REASON = "Unspecified error"
-"""paho-mqtt's reason when the broker closes a connection without giving one."""
+"""The reason that paho-mqtt gives if the broker closes a connection without one."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
-"""How many of our messages may wait for the broker. Of several states only the newest counts."""
+"""How many of our messages may wait to be sent to the broker. It need not be many, because of several states only the
+newest one matters."""
 MOST_READS = 16
-"""How often one turn reads up to client.READ_BYTES, so that a flood leaves time for other work."""
+"""How often one turn() may read from the connection, up to client.READ_BYTES each time. So a flood of messages leaves
+time for other work."""
 CLOSE_S = 1.0
-"""How long the broker may take to end a connection after we have disconnected, s."""
+"""How long to wait for the broker to end the connection after we have disconnected, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""With `newest_first`: how long the messages of one turn are handed on, s. Older ones that are left then are
-dropped."""
+"""How long deliver() may hand on messages if the newest come first, s. Messages that are left after that are dropped,
+the oldest of them."""
 ONCE = 1
-"""MQTT's quality of service for messages that the broker stores until they are delivered. It stores at most a thousand
-for each client, and sends only a few of them at a time."""
+"""MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
+client, and sends only a few of them at a time."""
 ANYHOW = 0
-"""MQTT's quality of service for messages in any number, which are lost if the connection breaks. All subscriptions use
-it, because then the broker waits for no acknowledgement, even if somebody floods the topic."""
+"""MQTT's quality of service 0: any number of messages can be sent, but messages are lost if the connection breaks. All
+subscriptions use it, because then the broker waits for no acknowledgements, even if somebody floods the topic."""
 
 
 class Broker:
-    """A connection to the broker, made and kept by turn(). `problem` says why it is not connected; empty: it is
-    connected."""
+    """A connection to the broker. Call turn() again and again: it makes the connection, keeps it alive, and hands on
+    messages. `problem` says why there is no connection, and is empty while there is one."""
 
     def __init__(
         self,
@@ -71,9 +74,12 @@ class Broker:
         *,
         newest_first: bool = False,
     ) -> None:
-        """`subscriptions`: topics; `hear`: called for each message with its topic, its payload and whether it was
-        retained; `up`: called at each new connection; `newest_first`: of messages that have come together, hand on the
-        newest first, for HEAR_S. Raises FleetError if paho-mqtt is missing or a file can't be read."""
+        """`subscriptions`: the topics to read. `hear` is called for each message with its topic, its payload, and True
+        if the broker had stored the message. `up` is called at each new connection. With `newest_first`, messages that
+        arrive together are handed on newest first, for at most HEAR_S.
+
+        Raises FleetError if paho-mqtt is missing or a file can't be read.
+        """
         try:
             from paho.mqtt.enums import CallbackAPIVersion
 
@@ -83,9 +89,9 @@ class Broker:
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
         self.listening = False
-        """True once the broker has answered every subscription, so that no message is missed from then on."""
+        """True once the broker has confirmed all subscriptions, so that no message is missed from then on."""
         self.denied: tuple[str, ...] = ()
-        """Topics that the broker does not let this client read."""
+        """The topics that the broker does not let this client read."""
         self._unconfirmed: dict[int | None, str] = {}
         self._settings = settings
         self._subscriptions = subscriptions
@@ -96,7 +102,7 @@ class Broker:
         self._try_at_s = 0.0
         self._closing = False
         self.up_s = 0.0
-        """When the connection was made (time.monotonic()), s."""
+        """When the present connection was made (time.monotonic(), s)."""
         self.client: Client = Client(
             CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=True, reconnect_on_failure=False
         )
@@ -125,8 +131,8 @@ class Broker:
         try:
             context = ssl.create_default_context(cafile=authority or None)
             if authority:
-                # From Python 3.13 on, certificates without every extension of RFC 5280 would be refused, which an
-                # authority of one's own often makes. Chain, name and dates count on every Python.
+                # Python 3.13 and later refuse a certificate that lacks an extension of RFC 5280, and a private
+                # authority often makes such certificates. Chain, name and dates are checked on every Python.
                 context.verify_flags &= ~ssl.VERIFY_X509_STRICT
         except (OSError, ssl.SSLError) as error:
             raise FleetError(f"broker.ca_file {authority}: {error}") from None
@@ -138,21 +144,21 @@ class Broker:
         self.client.tls_set_context(context)
 
     def will(self, topic: str, payload: bytes) -> None:
-        """Set the retained message that the broker publishes when it loses this client. It takes effect with the next
-        connection."""
+        """Set the last will: a retained message that the broker publishes if it loses this client. It takes effect with
+        the next connection."""
         self.client.will_set(topic, payload, qos=ONCE, retain=True)
 
     def say(self, topic: str, payload: bytes, *, qos: int = ONCE, retain: bool = False) -> None:
-        """Publish a message. While there is no connection, this does nothing."""
+        """Publish a message. Without a connection, this does nothing."""
         if not self.problem:
             self.client.publish(topic, payload, qos=qos, retain=retain)
 
     def connected_s(self) -> float:
-        """How long this connection has lasted, s; 0 without a connection."""
+        """How long the present connection has existed, s. 0 without a connection."""
         return 0.0 if self.problem else time.monotonic() - self.up_s
 
     def fileno(self) -> int:
-        """The descriptor to wait on; -1 without a connection."""
+        """The file descriptor of the connection, for poll(). -1 without a connection."""
         found = self.client.socket()
         return found.fileno() if found else -1
 
@@ -161,7 +167,7 @@ class Broker:
         return bool(self.client.want_write())
 
     def turn(self, timeout_s: float) -> None:
-        """Wait for the broker for at most `timeout_s`, then read, write and reconnect as needed."""
+        """Wait for the broker for at most `timeout_s`. Then read, write or reconnect, whichever is needed."""
         if self.fileno() < 0:
             self.connect(time.monotonic())
             if self.fileno() < 0:
@@ -170,7 +176,7 @@ class Broker:
         self.serve(readable=self._poll(0.0 if self.client.buffered() else timeout_s))
 
     def _poll(self, timeout_s: float) -> bool:
-        """Wait for at most `timeout_s`. True if there is something to read, or the connection has ended."""
+        """Wait for at most `timeout_s`. Returns True if there is something to read, or if the connection has ended."""
         if (fd := self.fileno()) < 0:
             return False
         poll = select.poll()
@@ -178,7 +184,7 @@ class Broker:
         return any(event != select.POLLOUT for _, event in poll.poll(timeout_s * 1e3))
 
     def serve(self, *, readable: bool) -> None:
-        """Read what has come, write what waits, and keep the connection alive."""
+        """Read the messages that have arrived, send what waits, and keep the connection alive."""
         for _ in range(MOST_READS):
             if not (readable or self.client.buffered()):
                 break
@@ -190,8 +196,8 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. With `newest_first`, the older ones of a flood are dropped, because the
-        sender of a genuine stop repeats it."""
+        """Hand on the messages that were read. With `newest_first`, a flood's older messages are dropped after HEAR_S.
+        No real stop is lost that way, because its sender repeats it."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
@@ -204,7 +210,7 @@ class Broker:
                 return
 
     def connect(self, now_s: float) -> None:
-        """Try to connect, if it is time for the next attempt. The broker's answer comes in a later turn()."""
+        """Try to connect, if it is time for the next attempt. The broker's answer arrives in a later turn()."""
         if now_s < self._try_at_s:
             return
         self._try_at_s = now_s + self._wait_s * random.uniform(1 - SPREAD, 1 + SPREAD)
@@ -220,8 +226,8 @@ class Broker:
             self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
 
     def confirmed(self, wait_s: float) -> bool:
-        """Wait for at most `wait_s`. True once the broker is connected and has acknowledged every message that was sent
-        with ONCE."""
+        """Wait for at most `wait_s`. Returns True once there is a connection, and the broker has acknowledged every
+        message that was published with ONCE."""
         until_s = time.monotonic() + wait_s
         self._try_at_s = 0.0
         while self.problem or self.client.waits():
@@ -231,9 +237,12 @@ class Broker:
         return True
 
     def close(self) -> None:
-        """Disconnect cleanly, so that the broker does not publish the last will. The connection stays open until the
-        broker ends it, or for CLOSE_S. If we closed it first, bytes that still arrive would reset it, and the broker
-        might see the reset before our goodbye and take the client for lost."""
+        """Disconnect cleanly, so that the broker does not publish the last will. Then wait until the broker ends the
+        connection, for at most CLOSE_S.
+
+        If we ended the connection ourselves, bytes that still arrive would make the kernel reset it. The broker could
+        then see the reset before our goodbye, and report this client as lost.
+        """
         self._closing = True
         if (fd := self.fileno()) < 0:
             return
@@ -250,8 +259,8 @@ class Broker:
         self.client.drop()
 
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
-        """Prepare a new connection so that small messages leave at once; otherwise the kernel waits 40 ms for more
-        bytes to send together."""
+        """Prepare a new connection. Small messages are sent at once, because otherwise the kernel would wait 40 ms for
+        more bytes to send with them."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.client.wire = MqttWire()
 
@@ -280,8 +289,8 @@ class Broker:
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
-    """Raise FleetError, which names the setting and the file, if the file can't be read. The errors of TLS would name
-    neither."""
+    """Raise FleetError if the file can't be read. Its message names the setting and the file, while an error of TLS
+    would name neither."""
     if not path:
         return
     try:
@@ -291,7 +300,8 @@ def _check_readable(key: str, path: str, credential: str) -> None:
 
 
 def read_secret(path: str) -> str:
-    """The first line of a file that no other user may read. Raises FleetError."""
+    """The first line of a file with a password. Raises FleetError if every user may read the file, or if it can't be
+    read."""
     try:
         fd = durable.open_regular(path)
         try:

@@ -1,4 +1,4 @@
-"""Client: paho-mqtt's client, with an MqttWire between it and its socket. Needs paho-mqtt."""
+"""Client: a client of paho-mqtt that reads its messages through an MqttWire. Needs paho-mqtt."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ READ_BYTES = 1 << 16
 
 
 class Client(client.Client):
-    """A client of paho-mqtt whose messages are taken from its wire; no callback delivers them."""
+    """A client of paho-mqtt. Get its messages from `wire`, because no callback delivers them."""
 
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Give paho-mqtt the bytes that it asks for, without messages, after one read of the connection."""
+        """Give paho-mqtt the bytes that it asks for, without the messages, which stay in `wire`. If no bytes are left,
+        this reads the connection once."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:
@@ -28,15 +29,15 @@ class Client(client.Client):
         return self.wire.read(bufsize)
 
     def buffered(self) -> bool:
-        """True while bytes are left that poll() does not report, because they were sorted out already or TLS has read
-        them."""
+        """True while there are received bytes that poll() does not report, because `wire` or TLS has read them from the
+        connection already."""
         found = self.socket()
         return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)
 
     def waits(self) -> bool:
-        """True while the broker has not acknowledged a message that needs it."""
+        """True while the broker has not acknowledged all messages that it must acknowledge."""
         return bool(self._out_messages)
 
     def drop(self) -> None:
-        """Close the connection without MQTT's own goodbye."""
+        """Close the connection without MQTT's goodbye."""
         self._sock_close()

@@ -1,4 +1,4 @@
-"""`failstop fleet`: watch the robots on a broker, stop all of them, or publish this one."""
+"""`failstop fleet`: shows the robots on a broker, stops all of them, or publishes this robot."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ failstop fleet publish               # run this on each robot
 
 
 WATCH_S = 0.25
-"""Between two pictures."""
+"""The time between two updates of the screen, s."""
 LIST_S = 1.5
-"""How long the broker may take to report all that it knows, s."""
+"""How long to wait until the broker has sent everything that it has stored, s."""
 LONGEST_STOP_S = 3600.0
 PROGRESS_S = 0.25
-"""Time between two updates of the progress line, s."""
+"""The time between two updates of the progress line, s."""
 INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+"""The exit code after Ctrl-C."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop fleet`."""
+    """Add the options of `failstop fleet` to its parser."""
     below = parser.add_subparsers(dest="action", metavar="ACTION")
     actions = {name: below.add_parser(name, help=what) for name, (_, what) in ACTIONS.items()}
     stop = actions["stop"].add_argument
@@ -74,7 +74,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _seconds(text: str) -> float:
-    """The value of --wait, s. Raises ArgumentTypeError."""
+    """Parse the value of --wait, s. Raises ArgumentTypeError."""
     try:
         found = float(text)
     except ValueError:
@@ -88,7 +88,7 @@ def _settings(arguments: Namespace) -> FleetSettings:
     changed: dict[str, object] = {}
     if broker := getattr(arguments, "broker", None):
         host, colon, port = broker.rpartition(":")
-        # An IPv6 address has colons of its own: a port follows one in brackets alone.
+        # An IPv6 address contains colons, so a port can follow it only if the address is in brackets.
         if colon and port.isdigit() and (":" not in host or host.endswith("]")):
             changed = {"broker.host": host.strip("[]"), "broker.port": int(port)}
         else:
@@ -118,7 +118,8 @@ def _publish(arguments: Namespace) -> int:
 
 
 def _status(deaf: str, doubled: str) -> str:
-    """The status that `systemctl status` shows and `failstop doctor` reads."""
+    """The status of this robot's publisher, in the form that systemd wants. `systemctl status` shows it, and `failstop
+    doctor` reads it."""
     if deaf:
         return f"STATUS=obeys no fleet stop: {words.printable(deaf)}\nERRNO={errno.ENOTCONN}"
     if doubled:
@@ -139,7 +140,7 @@ def _config(_: Namespace) -> int:
 
 
 def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
-    """A roster, and the connection that fills it."""
+    """An empty roster, and the broker connection that fills it with robots."""
     roster = Roster()
 
     def hear(topic: str, payload: bytes, retained: bool) -> None:
@@ -185,7 +186,7 @@ def _list(arguments: Namespace) -> int:
             for robot in robots
         ]
         for row in rows:
-            for key in ("heard_s", "sign_s", "first_s"):  # by this process's own clock
+            for key in ("heard_s", "sign_s", "first_s"):  # these times are of this process's own clock
                 row[key] = None
         print(json.dumps(rows, indent=2))
     elif not robots:
@@ -198,7 +199,7 @@ def _list(arguments: Namespace) -> int:
 
 
 def _blind(broker: Broker) -> str:
-    """If the broker does not let this client read some topics: why robots may be missing from the screen. Otherwise
+    """Why robots may be missing from the screen, if the broker does not let this client read all topics. Otherwise
     empty."""
     denied = " and ".join(broker.denied)
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
@@ -227,8 +228,8 @@ def _stop(arguments: Namespace) -> int:
 
 
 class Progress:
-    """A line on the terminal that is updated in place until all robots have confirmed a stop. It shows nothing if
-    stderr is not a terminal."""
+    """A line on the terminal that shows how many robots have confirmed a stop. It is updated in place. If stderr is not
+    a terminal, nothing is shown."""
 
     def __init__(self, stopping: Sender) -> None:
         self._stopping = stopping
@@ -236,7 +237,7 @@ class Progress:
         self._began_s = self._next_s = time.monotonic()
 
     def show(self) -> None:
-        """Update the line, if it is time."""
+        """Update the line, if it is time for that."""
         now_s = time.monotonic()
         if not self._shows or now_s < self._next_s:
             return
@@ -257,8 +258,9 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raise FleetError if the robot shows a sign of life. Its connection at the broker proves nothing: a robot that was
-    switched off while the broker was down still counts as connected there."""
+    """Raise FleetError if the robot is still alive. This waits for a sign of life if the broker reports the robot as
+    connected, because that report proves nothing. The broker also reports it for a robot that was switched off while
+    the broker was down."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)
@@ -282,7 +284,7 @@ def _forget(arguments: Namespace) -> int:
     roster, broker = _seen(found)
     with closing(broker):
         _listen(broker, CONNECT_S, lambda: broker.listening)
-        # Its state may come first, and says nothing of its connection.
+        # Wait for its connection too, because its state may arrive first.
         _listen(broker, LIST_S, lambda: any(each.id == name and each.connection for each in roster.robots.values()))
         if broker.problem:
             raise FleetError(broker.problem)

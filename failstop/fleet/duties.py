@@ -1,7 +1,7 @@
-"""Duties: fleet stops on the robot's side, which of them it obeys, and when it answers what. Pure.
+"""Duties: decides which fleet stops this robot obeys, and which answers it sends about them. Pure.
 
-The robot first requests a stop and then remembers its id. If it crashes in between, the worst that can happen is that
-the same stop is obeyed twice.
+A robot requests the stop first, and saves the stop's id afterwards. If it crashes in between, it may obey the same stop
+twice. The other order could lose a stop.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 FOLLOWED_S = 6.0
 """How long a stop is followed, s. All its proofs are known by then."""
 AGAIN_EVERY_S = 0.25
-"""An id that comes again is answered at most this often, s."""
+"""The shortest time between two answers to a stop that its sender repeats, s."""
 MOST_DUTIES = 32
 UNWRITTEN = "latched but NOT written, so the board did not get it"
 FORGOTTEN = "requested, but then its publisher was restarted, so nobody knows whether the robot stopped"
 
 
 class Duty:
-    """One stop that this robot carries out."""
+    """One fleet stop that this robot carries out."""
 
     def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """The request is in the stop pipe. `now_s`: now (time.monotonic()); `before`: the service's state before the
-        request, None if it could not be read."""
+        """Make this after the stop was requested from the service. `now_s`: time.monotonic(). `before`: the service's
+        state before the request, or None if it could not be read."""
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
@@ -41,7 +41,7 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """Follow this stop. True if a further level was reached."""
+        """Look how far the stop has come. Returns True if it has reached a new level."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
@@ -60,9 +60,12 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """True if the service's last `stop` answers this request: it came after the request, or it was latched before
-        and still is. In the second case the service must have heard the request (its epoch grew) and still hear the
-        board; it then only keeps the first stop."""
+        """True if `stop`, the service's last stop, answers this request. There are two cases. Either the service has
+        stopped after the request, or a stop was latched before it and still is.
+
+        In the second case the service keeps the first stop and makes no new one. So its epoch must have grown, which
+        shows that it received the request, and it must still hear the board.
+        """
         if self._epoch is None:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
@@ -76,15 +79,15 @@ class Duty:
 
 
 def confirming(state: State) -> str:
-    """The level at which a stop of this robot counts as confirmed: acknowledged, if its board can answer; else
-    observed, if it has an IMU; else written."""
+    """The level at which a stop of this robot counts as confirmed: acknowledged if the board can answer, else observed
+    if there is an IMU, else written."""
     if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
 
 
 class Duties:
-    """Decides about each message on the stop topic, and what this robot answers."""
+    """Judges each message on the stop topic, and makes this robot's answers."""
 
     def __init__(self, key: bytes, robot: str, seen: Seen) -> None:
         self.forged = 0
@@ -96,12 +99,12 @@ class Duties:
         self._duties: dict[str, Duty] = {}
         self._followed: list[Duty] = []
         self._new: list[str] = []
-        """Ids of stops that were requested and are not answered yet."""
+        """The ids of stops that were requested but not answered yet."""
         self._refused_s = -AGAIN_EVERY_S
 
     def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
-        """Handle a message. Returns (order, answer): the stop to carry out now, if it is a new one, and the answer to
-        publish now; both may be None."""
+        """Judge a message. Returns (order, answer). The order is a new stop, to be requested now. The answer must be
+        published now. Either may be None."""
         try:
             order = levels.read_order(self._key, message)
         except signed.Forged as error:
@@ -119,8 +122,8 @@ class Duties:
         return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
-        """The answer to a stop that has come before. If this program was restarted since then, the answer only says
-        that the stop was requested."""
+        """The answer to a stop that its sender repeats. If this program was restarted since the stop was requested, the
+        answer says only that it was requested."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -129,7 +132,7 @@ class Duties:
         return self._answer(duty, now_s)
 
     def failed(self, order: Order, problem: str) -> StopAnswer:
-        """The answer to a stop that could not be requested. The stop still counts as new, so it is tried again when the
+        """The answer to a stop that could not be requested. The stop still counts as new, so it is tried again when its
         sender repeats it."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
@@ -143,8 +146,8 @@ class Duties:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """The answers that are due because more has become known. The first answer of a stop says that it was
-        requested."""
+        """The answers that must be sent now, because more has become known about a stop. The first answer to each stop
+        says that it was requested."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
@@ -154,11 +157,11 @@ class Duties:
         return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
-        """True while more may become known about a stop."""
+        """True while more may become known about any stop."""
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """True while a stop still has to be confirmed, because its sender waits for that."""
+        """True while a stop is not confirmed yet. Its sender waits for that."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

@@ -1,4 +1,4 @@
-"""Exposition: a service's metrics in the form that Prometheus reads, once or over HTTP."""
+"""Exposition: gives a service's metrics to Prometheus, as text or over HTTP."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Collector:
-    """Reads the state again at each scrape, from the run of the service that exists then. Thread-safe."""
+    """Reads the service's state at each scrape. It finds the service again after a restart. Thread-safe."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -29,9 +29,9 @@ class Collector:
         self._lock = threading.Lock()
 
     def state(self) -> State | None:
-        """The state now; None if no service is running."""
+        """The service's present state. None if no service is running."""
         with self._lock:
-            for _ in range(2):  # a reader of a run that has ended says so, and the next run may be there
+            for _ in range(2):  # if the run that was read has ended, try the next run
                 try:
                     if self._reader is None or self._reader.over():
                         self._reader = StateReader(self._name)
@@ -41,11 +41,11 @@ class Collector:
         return None
 
     def collect(self) -> Iterator[Metric]:
-        """The metrics, in the form in which a registry of prometheus_client asks for them."""
+        """The metrics, in the form that prometheus_client's registry wants."""
         from prometheus_client.core import Metric
 
         for family, samples in metrics.collect(self.state()):
-            # A counter's family is named without what its samples end in.
+            # The family of a counter has no `_total` in its name, but its samples have.
             found = Metric(family.name.removesuffix("_total"), family.doc, family.kind)
             for labels, value in samples:
                 found.add_sample(family.name, dict(labels), value)
@@ -53,7 +53,7 @@ class Collector:
 
 
 def registry(name: str) -> CollectorRegistry:
-    """A registry that has only the service's metrics. Raises FleetError without prometheus_client."""
+    """A registry with only this service's metrics. Raises FleetError if prometheus_client is not installed."""
     try:
         from prometheus_client import CollectorRegistry
     except ImportError:
@@ -64,7 +64,7 @@ def registry(name: str) -> CollectorRegistry:
 
 
 def text(name: str) -> str:
-    """The present metrics of the service of this name, in Prometheus's text format. Raises FleetError."""
+    """The metrics of this service, in Prometheus's text format. Raises FleetError."""
     found = registry(name)
     from prometheus_client import generate_latest
 
@@ -73,7 +73,7 @@ def text(name: str) -> str:
 
 @contextlib.contextmanager
 def serving(name: str, host: str, port: int) -> Iterator[int]:
-    """Serve /metrics in threads for as long as the context lasts; yields the port. Raises FleetError."""
+    """Serve /metrics over HTTP while the context lasts. Yields the port. Raises FleetError."""
     found = registry(name)
     from prometheus_client import make_wsgi_app
 
@@ -90,7 +90,7 @@ def serving(name: str, host: str, port: int) -> Iterator[int]:
 
 
 def address(text: str) -> tuple[str, int]:
-    """The host and the port of HOST:PORT, [IPv6]:PORT or :PORT (host 127.0.0.1). Raises FleetError."""
+    """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. Without a host, it is 127.0.0.1. Raises FleetError."""
     host, colon, port = text.rpartition(":")
     if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
         raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")

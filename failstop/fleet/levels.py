@@ -1,4 +1,5 @@
-"""Levels: how far a fleet stop has come on one robot, and the two messages about it: the order and the answer. Pure."""
+"""Levels: how far a fleet stop has come on a robot. Also the two messages about a stop: the order, and a robot's
+answer. Pure."""
 
 from __future__ import annotations
 
@@ -14,41 +15,41 @@ if TYPE_CHECKING:
     from typing import Any
 
 REFUSED = "refused"
-"""The stop's date is too old, or too far ahead."""
+"""The robot refused the stop, because its date is too old or too far in the future."""
 FAILED = "failed"
-"""The stop could not be requested, or was not written."""
+"""The robot could not request the stop from its service, or the stop was not written to the board."""
 ASKED = "asked"
-"""The request is in the stop pipe."""
+"""The robot has requested the stop from its service."""
 WRITTEN = "written"
-"""The kernel has the bytes of the stop."""
+"""The kernel has taken the bytes of the stop."""
 ACKNOWLEDGED = "acknowledged"
-"""The board has answered a ping that was written after the stop."""
+"""The board has answered a ping that was sent after the stop."""
 OBSERVED = "observed"
-"""The IMU shows that the wheels are still."""
+"""The robot has seen that its wheels are still."""
 PROOFS = (WRITTEN, ACKNOWLEDGED, OBSERVED)
 ORDER = (REFUSED, FAILED, ASKED, *PROOFS)
 MOST_TEXT = 120
-"""The longest reason or name, characters."""
+"""The longest allowed reason or name, characters."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Order:
-    """A fleet stop, as its sender orders it."""
+    """A fleet stop, as its sender ordered it."""
 
     id: str
     unix_s: float
-    """When the order was signed, by the sender's clock (Unix time, s)."""
+    """When the sender signed the order, by its own clock (Unix time, s)."""
     reason: str
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """The signed message. However long the reason is, the message is no longer than robots accept."""
+        """The signed message. A long reason is cut, so that robots accept the message."""
         body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP_PURPOSE, body)
 
 
 def read_order(key: bytes, message: bytes) -> Order:
-    """The order in a message. Raises signed.Forged."""
+    """Read the order from a signed message. Raises signed.Forged."""
     body = signed.verify(key, signed.STOP_PURPOSE, message)
     return Order(_id(body), _number(body, "t"), _text(body, "reason"), _text(body, "by"))
 
@@ -58,20 +59,22 @@ class StopAnswer:
     """A robot's answer to a fleet stop."""
 
     id: str
-    """The id of the stop."""
+    """The id of the stop that it answers."""
     robot: str
     reached: dict[str, float]
-    """Every level that the stop has reached on this robot, with the seconds after which it did."""
+    """All levels that the stop has reached on this robot. The value of each is how many seconds after the request it
+    was reached."""
     why: str = ""
-    """The reason, for REFUSED and FAILED."""
+    """Why the stop was refused or has failed. Otherwise empty."""
     confirms: str = ACKNOWLEDGED
-    """The level that confirms the stop: the first one that this robot's board or IMU can give."""
+    """The level that confirms the stop on this robot. It depends on whether the robot's board can answer, and whether
+    it has an IMU."""
     publisher: str = ""
-    """The random number of the publisher (twins.py); empty for an older failstop, which has none."""
+    """The random number of the robot's publisher (twins.py). Empty if its failstop is too old to have one."""
     doubled: bool = False
-    """True if the publisher knows of another one that uses its name."""
+    """True if the publisher knows that another publisher uses its name."""
     connected_s: float = 0.0
-    """How long the publisher's connection to the broker has lasted, s. The broker has been running for at least as
+    """How long the publisher has been connected to the broker, s. So the broker has been running for at least this
     long."""
 
     def message(self, key: bytes) -> bytes:
@@ -83,7 +86,7 @@ class StopAnswer:
 
 
 def read_answer(key: bytes, message: bytes) -> StopAnswer:
-    """The answer in a message. Raises signed.Forged."""
+    """Read a robot's answer from a signed message. Raises signed.Forged."""
     body = signed.verify(key, signed.ANSWER_PURPOSE, message)
     reached = body.get("reached")
     if not isinstance(reached, dict) or not set(reached) <= set(ORDER):

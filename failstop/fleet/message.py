@@ -1,6 +1,6 @@
-"""The JSON messages that a robot publishes on the broker: its connection, its state and its last event. Pure.
+"""The JSON messages that a robot publishes on the broker: its connection, its state, and its newest event. Pure.
 
-A value that is not known is left out. `t` is Unix time in s; all other times are durations in s.
+A value that is not known is left out. `t` is Unix time in s, and all other times are durations in s.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 
 ONLINE = "online"
 OFFLINE = "offline"
-"""The publisher has ended cleanly, and has announced it."""
+"""The publisher has ended cleanly and has said so."""
 LOST = "lost"
-"""The last will, which the broker publishes when the connection breaks."""
+"""The content of the last will, which the broker publishes when the robot's connection breaks."""
 FLEET_STOP_OFF = "fleet_stop_off"
-"""The kind of error of a robot that obeys no fleet stop."""
+"""The error kind of a robot that would obey no fleet stop."""
 DOUBLED = "doubled_name"
-"""The kind of error of a robot whose name is also used by another publisher."""
+"""The error kind of a robot whose name is also used by another publisher."""
 WARNING = "warning"
 FATAL = "fatal"
 NO_SERVICE_NEXT = "`failstop why` on the robot says more"
 LATEST_S = 1e11
-"""The latest Unix time that is believed, in the year 5138. A larger number is not a date."""
+"""The latest Unix time that is accepted as a date. It is in the year 5138."""
 
 
 class Header:
-    """Adds the fields with which every message of a robot begins, such as its number, which is counted separately for
-    each topic."""
+    """Adds the fields that every message of a robot has. One of them is the message's number, which is counted
+    separately for each topic."""
 
     def __init__(self, fleet: str, robot: str, publisher: str = "") -> None:
         """`publisher`: the random number of this publisher (twins.py)."""
@@ -49,11 +49,11 @@ class Header:
         self._sent: dict[str, int] = {}
 
     def topic(self, last: str) -> str:
-        """This robot's topic that ends in `last`."""
+        """This robot's topic that ends with `last`."""
         return topics.of_robot(self.fleet, self.robot, last)
 
     def message(self, last: str, body: Message, unix_s: float) -> bytes:
-        """The next message for this robot's topic that ends in `last`."""
+        """Make the next message for this robot's topic that ends with `last`."""
         number = self._sent[last] = self._sent.get(last, -1) + 1
         head = {
             "number": number,
@@ -67,22 +67,22 @@ class Header:
 
 
 def date(found: object) -> float | None:
-    """A message's `t` as Unix time, s; None if it is not a time."""
+    """The value of a message's field `t`, as Unix time, s. None if it is not a date."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not 0.0 <= found <= LATEST_S:
         return None
     return float(found)
 
 
 def connection(state: str, period_s: float | None = None, heard: Sequence[str] = ()) -> Message:
-    """The body of a connection message. `state`: ONLINE, OFFLINE or LOST; `period_s`: the longest time between two
-    state messages, s; `heard`: the numbers of other publishers that use this robot's name (twins.py)."""
+    """The body of a connection message. `state`: ONLINE, OFFLINE or LOST. `period_s`: the longest time between two
+    state messages, s. `heard`: the numbers of other publishers that use this robot's name (twins.py)."""
     period = {} if period_s is None else {"state_period_s": period_s}
     return {"connection": state, **period, **({"heard": list(heard)} if heard else {})}
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
-    """The body of a state message. `state`: None if no service is running, and then `note` says why; `extra`: the
-    publisher's own errors."""
+    """The body of a state message. If no service is running, `state` is None, and `note` says why. `extra`: errors of
+    the publisher itself."""
     if state is None:
         error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
         words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
@@ -105,7 +105,8 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 
 def steady(found: Message) -> Message:
-    """The fields of a state message that don't change all the time, so without speeds, battery voltage and ages."""
+    """The fields of a state message that change rarely. Fields with speeds, the battery's voltage or ages are left
+    out."""
     changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
     return {key: value for key, value in found.items() if key not in changing}
 
@@ -126,7 +127,7 @@ def warning(kind: str, text: str, then: str) -> Message:
 
 
 def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """These values as JSON fields, without infinities and NaN, which JSON does not have."""
+    """These values as JSON fields. Infinities and NaN are left out, because JSON doesn't have them."""
     return {name: round(value, 4) for name, value in named if math.isfinite(value)}
 
 
@@ -158,7 +159,7 @@ def _errors(state: State) -> list[Message]:
 
 
 def _seen(state: State) -> Message:
-    """What is observed about the wheels."""
+    """What is observed of the wheels, as JSON fields."""
     known = state.turning
     found: Message = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
     if known.age_s is not None:
@@ -170,7 +171,7 @@ def _seen(state: State) -> Message:
 
 
 def _proofs(stop: Stop) -> Message:
-    """The last stop, and those of its three proofs that are known."""
+    """The last stop, with the proofs that are known."""
     found = {
         "cause": stop.cause.kind.name,
         "reason": stop.reason,

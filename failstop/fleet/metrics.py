@@ -1,7 +1,7 @@
-"""Metrics: a table that turns a state into Prometheus's metrics. Pure.
+"""Metrics: turns a service's state into Prometheus's metrics, by a table. Pure.
 
-The names follow Prometheus's rules: base units, with the unit at the end of the name, and `_total` for counters that
-only grow. A value that is not known has no sample. Without a service the only metric is `failstop_up`.
+The names follow Prometheus's rules: base units, with the unit at the end of the name, and `_total` for counters. A
+value that is not known has no sample. If no service is running, `failstop_up` is the only metric.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "wait
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A metric: its name, its type, its help text, and how its samples are read from a state."""
+    """A metric: its name, its type, its help text, its labels, and a function that reads its samples from a state."""
 
     name: str
     kind: str
@@ -43,7 +43,8 @@ class Family:
 
 
 def collect(state: State | None) -> Iterator[tuple[Family, list[Sample]]]:
-    """Every metric that has samples now. None: no service is running, or it does not answer."""
+    """All metrics that have samples. `state`: the service's state, or None if no service is running or it does not
+    answer."""
     yield UP, [((), float(state is not None))]
     if state is not None:
         for family in FAMILIES[1:]:
@@ -60,12 +61,12 @@ def _each(label: str, values: dict[str, float]) -> list[Sample]:
 
 
 def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
-    """A sample for each of these words: 1 for the one that is true `now`, 0 for the others."""
+    """A sample for each name: 1 for the name that equals `now`, and 0 for all others."""
     return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
 
 
 def _ages(state: State) -> list[Sample]:
-    """The age of each kind of reading, if there was one."""
+    """The age of each kind of reading. A kind without a reading has no sample."""
     ages = state.ages
     named = {
         "board": ages.board_s,
@@ -111,8 +112,8 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """The measured speed of each wheel. No samples if the reading is old, because nobody knows whether the wheels still
-    turn like that."""
+    """The measured speed of each wheel. There are no samples if the reading is old, because the wheels may turn
+    differently since."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []
@@ -144,7 +145,7 @@ SERVICE = (
         lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
     ),
 )  # fmt: skip
-"""The service itself."""
+"""Metrics of the service itself."""
 WHEELS = (
     _row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled)),
     _row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving)),
@@ -176,7 +177,7 @@ WHEELS = (
         _wheel_speeds, "wheel",
     ),
 )  # fmt: skip
-"""Motion, and what is known about the wheels."""
+"""Metrics of the motion, and of what the wheels are seen to do."""
 STOPS = (
     _row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None)),
     _row(
@@ -209,7 +210,7 @@ STOPS = (
         _stop("observed_s"),
     ),
 )  # fmt: skip
-"""The latch and the last stop."""
+"""Metrics of the latch and of the last stop."""
 BOARD = (
     _row(
         "velocity_meters_per_second", GAUGE, "Commanded velocity, x forward, y left",
@@ -244,7 +245,7 @@ BOARD = (
         _ages, "reading",
     ),
 )  # fmt: skip
-"""The commanded velocity, the port and the board."""
+"""Metrics of the commanded velocity, the port and the board."""
 PROCESSES = (
     _row("decision_age_seconds", GAUGE, "Age of the gate's last decision", lambda state: _one(state.age_s)),
     _row(
@@ -272,7 +273,7 @@ PROCESSES = (
         lambda state: _one(state.starved_times),
     ),
 )  # fmt: skip
-"""The gate, its clients, and every process."""
+"""Metrics of the gate, of the connected programs, and of every process."""
 SERVOS = (
     _row(
         "arm_moving", GAUGE, "1 while the arm moves; missing: no arm",
@@ -295,13 +296,13 @@ SERVOS = (
         _servos(0), "servo",
     ),
 )  # fmt: skip
-"""The arm, and the servos of a bus."""
+"""Metrics of the arm, and of the servos on a bus."""
 FAMILIES = (*SERVICE, *WHEELS, *STOPS, *BOARD, *PROCESSES, *SERVOS)
 UP = FAMILIES[0]
 
 
 def markdown() -> list[str]:
-    """The table of docs/fleet.md."""
+    """The lines of the metrics table in docs/fleet.md."""
     rows = ["| metric | kind | labels | what it says |", "|---|---|---|---|"]
     for family in FAMILIES:
         labels = ", ".join(f"`{label}`" for label in family.labels)

@@ -1,4 +1,4 @@
-"""`failstop metrics`: the state in the form that Prometheus reads, once or over HTTP."""
+"""`failstop metrics`: gives a service's metrics to Prometheus, once or over HTTP."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ failstop metrics > /var/lib/node_exporter/failstop.prom
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop metrics`."""
+    """Add the options of `failstop metrics` to its parser."""
     parser.add_argument(
         "--serve", metavar="HOST:PORT", help="serve the metrics over HTTP until Ctrl-C, instead of printing them once"
     )
@@ -26,14 +26,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print the metrics, or serve them. If no service is running, that is no error: the metrics are then `failstop_up
-    0`. Raises FleetError."""
+    """Print the metrics, or serve them until a signal ends it. It is no error if no service is running. The only metric
+    is then `failstop_up 0`. Raises FleetError."""
     if arguments.serve is None:
         sys.stdout.write(exposition.text(arguments.name))
         return 0
     host, port = exposition.address(arguments.serve)
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # in the server's threads too
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # the server's threads inherit this
     with exposition.serving(arguments.name, host, port) as bound:
         shown = f"[{host}]" if ":" in host else host
         standard.print_line(f"http://{shown}:{bound}/metrics serves the metrics of {arguments.name!r}")

@@ -1,7 +1,7 @@
-"""Publisher: publishes one robot's connection, state and events on the broker, and carries out fleet stops.
+"""Publisher: publishes this robot's connection, state and events on the broker, and carries out fleet stops.
 
-It is not on the stop path: the robot works without it, and it can't move the robot. It writes into the stop pipe, as
-every local user may, and reads only what everybody may read.
+The robot works without its publisher, and the publisher can't move the robot. It requests stops through the service's
+stop pipe, as every local user may, and reads only what everybody may read.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ if TYPE_CHECKING:
 
 
 LOOK_S = 0.2
-"""Time between two looks at the state, s."""
+"""The time between two looks at the robot's state, s."""
 BUSY_LOOK_S = 0.02
-"""Time between two looks while a stop is not confirmed yet, s."""
+"""The time between two looks while a fleet stop is not confirmed yet, s."""
 LAST_LOOK_S = 0.1
-"""Time between two looks after a stop was confirmed, while it is watched whether the wheels come to rest, s. That takes
-most of a second, and nobody waits for it."""
+"""The time between two looks after a fleet stop was confirmed, s, until the wheels are seen still. That takes most of a
+second, and nobody waits for it."""
 BUSY_STATE_S = 1.0
-"""Time between two state messages while a stop is carried out, s, because its answers matter more. If a thousand robots
-sent both at once, they would confirm later."""
+"""The time between two state messages during a fleet stop, s. It is long, because the answers to the stop matter more.
+A thousand robots that sent both at the same time would confirm the stop later."""
 FIRST_LOOK_S = 0.003
-"""When to look first after a stop was requested, s. The service has usually written it by then, so the first answer
-already says so."""
+"""How long after requesting a stop to look for the first time, s. By then the service has usually written the stop, so
+the first answer can already say so."""
 CHANGES_S = 1.0
-"""The shortest time between two messages about values that change all the time, such as a velocity, s."""
+"""The shortest time between two messages about values that change all the time, s, for example a velocity."""
 MOST_EVENTS = 20
-"""At most this many events, the newest, are published at one look. The journal has all of them."""
+"""At most this many of the newest events are published at one look. The journal has all events."""
 FORGED_S = 60.0
-"""For how long the publisher reports a message that was not signed with the fleet's key, s."""
+"""How long the publisher reports a message that was not signed with the fleet's key, s."""
 CLOSE_S = 1.5
 """How long the broker may take to confirm that this publisher has ended, s."""
 SEEN = "fleet-stops.json"
@@ -69,7 +69,7 @@ NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """The service of this name on this computer, in whatever run exists."""
+    """The robot's service on this computer. It is found again after a restart."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -77,9 +77,9 @@ class Service:
         self._log: EventLog | None = None
 
     def read(self) -> tuple[State | None, str]:
-        """The state now and "", or None and the reason why there is no state."""
+        """Returns (the present state, ""), or (None, the reason why there is no state)."""
         note = ""
-        for _ in range(2):  # a reader of a run that has ended, and then one of the next
+        for _ in range(2):  # if the run that was read has ended, try the next run
             try:
                 if self._reader is None or self._reader.over():
                     self._reader, self._log = StateReader(self.name), None
@@ -98,7 +98,7 @@ class Service:
             return []
 
     def stop(self, reason: str, by: str) -> str:
-        """Request a stop; returns what went wrong, or ""."""
+        """Request a stop. Returns an error text, or ""."""
         try:
             send_stop(self.name, reason, f"{records.FLEET_PREFIX}{by}")
         except FailstopError as error:
@@ -110,14 +110,15 @@ class Publisher:
     """Publishes this robot and carries out fleet stops. Call turn() in an endless loop."""
 
     def __init__(self, settings: FleetSettings, name: str, robot: Robot, robot_id: str, store: str) -> None:
-        """`store`: the folder in which obeyed stops are remembered. Raises FleetError."""
+        """`robot`: the robot's service. `robot_id`: the robot's name in the fleet. `store`: the folder of the file with
+        the stops that were obeyed. Raises FleetError."""
         fleet = settings.text("robot.fleet")
         self.robot_id = robot_id
         self._robot = robot
         self._fleet = fleet
         self._publish_s = settings.number("robot.publish_s")
         self.number = draw()
-        """This publisher's random number, which is in all its messages."""
+        """This publisher's random number. All its messages contain it."""
         self.twins = Twins(self.number, time.time())
         self._header = message.Header(fleet, robot_id, self.number)
         self._connection_topic = self._header.topic(topics.CONNECTION)
@@ -126,18 +127,19 @@ class Publisher:
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
         self.duties = Duties(self._key, robot_id, self._seen)
-        """Judges messages that claim to be fleet stops; None without a key."""
+        """Judges messages that claim to be fleet stops. Without a key, it gets no messages."""
         self.unsaved = False
-        """True if obeyed stops still have to be saved. They are saved after the answers were sent, because the disk may
-        be slow."""
+        """True while the newest obeyed stops are not saved. The publisher saves them after it has sent its answers,
+        because the disk may be slow."""
         self._said_forged = 0
         self._said_denied = self._said_doubled = ""
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
         self._word = message.ONLINE
-        """The robot's connection (message.ONLINE ...) that the broker gets at each new connection."""
-        # A client's own: two robots of one name would throw each other off the broker by the name alone.
+        """The state of this robot's connection, for example message.ONLINE. It is published at each new connection to
+        the broker."""
+        # The number makes the client's name unique. Otherwise two robots of one name would end each other's connection.
         name = f"failstop-{robot_id}-{self.number}"
         wanted = (*self._stop_topics(), self._connection_topic)
         self.broker = Broker(settings, name, wanted, self._hear, self._up, newest_first=True)
@@ -147,10 +149,11 @@ class Publisher:
         return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
-        """Wait for the broker until something is to be done, `longest_s` at most, then do it."""
+        """Wait for the broker until something must be done, for at most `longest_s`. Then do it."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
-        if self.broker.problem != was and not self.twins.others:  # two may end each other's connection every second
+        # With a second publisher of this name this is not logged: they may end each other's connection every second.
+        if self.broker.problem != was and not self.twins.others:
             standard.say(
                 self.broker.problem or f"the broker at {self.broker.where} knows this robot as {self.robot_id}"
             )
@@ -164,7 +167,7 @@ class Publisher:
         self.look(time.monotonic())
 
     def look(self, now_s: float) -> None:
-        """Publish what is new, if it is time."""
+        """Publish what has changed, if it is time for that."""
         if now_s < self._look_at_s:
             return
         if self.twins.again:
@@ -188,7 +191,7 @@ class Publisher:
                 self._publish_event(event)
 
     def deaf(self) -> str:
-        """Why this robot would not obey a fleet stop now; empty if it would."""
+        """Why this robot would not obey a fleet stop at this moment. Empty if it would."""
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
@@ -196,7 +199,7 @@ class Publisher:
         return f"the broker does not let this robot read {denied}: check its access list" if denied else ""
 
     def doubled(self) -> str:
-        """If another publisher uses this robot's name: what is wrong, and what to do. Otherwise empty."""
+        """If another publisher uses this robot's name, a text that says so and what to do. Otherwise empty."""
         if not self.twins.others:
             return ""
         return (
@@ -206,7 +209,7 @@ class Publisher:
         )
 
     def busy(self, now_s: float) -> bool:
-        """True while a fleet stop is being carried out."""
+        """True while a fleet stop is carried out."""
         return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
@@ -214,7 +217,7 @@ class Publisher:
 
     def close(self) -> None:
         """End cleanly: publish that the robot is offline, so that it does not count as lost. If the broker does not
-        confirm that within CLOSE_S, it publishes the last will."""
+        confirm this within CLOSE_S, it publishes the last will instead."""
         self._word = message.OFFLINE
         self._connection()
         if self.broker.confirmed(CLOSE_S):
@@ -234,7 +237,7 @@ class Publisher:
     def _up(self) -> None:
         self.twins.connected()
         self._connection()
-        self._will()  # dated anew, for the next connection
+        self._will()  # with a new date, for the next connection
         self._shown = (None, None)
         self._look_at_s = 0.0
 
@@ -260,8 +263,8 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
-        """This publisher's own errors, which are added to the robot's: it would obey no fleet stop, or somebody sends
-        forged stops."""
+        """The publisher's own errors, which are published with the robot's. For example, the robot would obey no fleet
+        stop, or somebody sends forged stops."""
         found = []
         if off := self._off or self._denied():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
@@ -274,8 +277,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Handle a message: a stop, or something that claims to be one, or a message about the connection of this
-        robot's name."""
+        """Handle a message: a fleet stop, a forged stop, or a message about the connection of a robot with this
+        name."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -311,11 +314,11 @@ class Publisher:
             doubled=bool(self.twins.others),
             connected_s=round(self.broker.connected_s(), 3),
         )
-        self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
+        self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # if this answer is lost, the sender asks again
 
     def _remember(self) -> None:
-        """Save the ids of obeyed stops, so that they outlive a restart. If that fails, it is logged, because it is no
-        reason not to stop."""
+        """Save the ids of obeyed stops, so that a restart does not forget them. If this fails, it is only logged,
+        because the robot must keep obeying stops."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())
@@ -327,7 +330,7 @@ class Publisher:
 
 
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
-    """The fleet's key and "", or an empty key and the reason why there is none."""
+    """Returns (the fleet's key, ""), or (b"", the reason why there is no key)."""
     try:
         return signed.read_key(settings.secret("stop.key_file", KEY)), ""
     except FleetError as error:
@@ -336,8 +339,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """The stops that were obeyed before. If the file can't be read, there are none; then somebody could repeat a
-    recorded stop until it is older than the tolerance."""
+    """The stops that were obeyed earlier. If their file can't be read, none are known. Somebody could then repeat a
+    recorded stop until the stop is older than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:
@@ -350,7 +353,7 @@ def _remembered(path: str, tolerance_s: float) -> Seen:
 
 
 def store(name: str) -> str:
-    """The folder in which obeyed stops are remembered; it is made if needed. Raises FleetError."""
+    """The folder of the file with the stops that were obeyed. It is made if needed. Raises FleetError."""
     path = state_directory(name, os.environ)
     try:
         os.makedirs(path, exist_ok=True)

@@ -1,8 +1,9 @@
-"""Replay: tell a new fleet stop from a recorded one that somebody sends again. Pure; the wall clock is an argument.
+"""Replay: tells a new fleet stop from an old one that somebody recorded and sends again. Pure; the wall clock is an
+argument.
 
-A stop has an id and a date. Each id is obeyed once, and the date must be close to this robot's clock. Ids whose date is
-no longer close are forgotten, but the newest of the forgotten dates is kept, and a stop that is not newer than it is
-refused, even if the clock was set back. So a recorded stop never works again, not even after a restart.
+A stop has an id and a date. Each id is obeyed only once, and the date must be close to this robot's clock. An id is
+forgotten when its date is no longer close. The newest date of all forgotten ids is kept, and a stop with this date or
+an older one is refused, even if the clock is set back. So a recorded stop never works again, not even after a restart.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ UNKNOWN_S = 0.0
 
 
 class Seen:
-    """The ids of the stops that were obeyed."""
+    """The stops that were obeyed."""
 
     def __init__(self, tolerance_s: float, ids: dict[str, float] | None = None, floor_s: float = UNKNOWN_S) -> None:
-        """`ids`: the date of each id that was obeyed; `floor_s`: a stop of this date or an earlier one is refused.
-        Dates are Unix time, s."""
+        """`tolerance_s`: how far a stop's date may differ from this robot's clock, s. `ids`: the date of each id that
+        was obeyed. `floor_s`: a stop with this date or an older one is refused. Dates are Unix time, s."""
         self._tolerance_s = tolerance_s
         self._ids = dict(ids or {})
         self._floor_s = floor_s
 
     def judge(self, stop_id: str, dated_s: float, now_s: float) -> str:
-        """NEW, AGAIN (this id was obeyed already), or the reason why the stop is refused."""
+        """Judge a stop. Returns NEW, AGAIN if its id was obeyed already, or the reason why it is refused."""
         if stop_id in self._ids:
             return AGAIN
         off_s = dated_s - now_s
-        # Not `abs(off_s) > tolerance`: a date that is no number is refused too.
+        # Not `abs(off_s) > tolerance`, because this form also refuses a date that is NaN.
         if not -self._tolerance_s <= off_s <= self._tolerance_s:
             side = "old by" if off_s < 0 else "ahead by"
             return f"dated {side} {span(abs(off_s))} on this robot's clock, and {self._tolerance_s:g} s are allowed"
@@ -48,7 +49,7 @@ class Seen:
         return NEW
 
     def obeyed(self, stop_id: str, dated_s: float, now_s: float) -> None:
-        """Remember that this stop was obeyed. The same id may come again with another date."""
+        """Note that a stop was obeyed. Its sender may repeat the same id with a newer date."""
         self._ids[stop_id] = max(dated_s, self._ids.get(stop_id, dated_s))
         gone = [known for known, date_s in self._ids.items() if date_s < now_s - self._tolerance_s]
         left = sorted((known for known in self._ids if known not in gone), key=lambda known: self._ids[known])
@@ -59,12 +60,12 @@ class Seen:
             self._floor_s = max(self._floor_s, self._ids.pop(known))
 
     def dump(self) -> bytes:
-        """The content of the file that keeps this over a restart."""
+        """The content of the file that keeps the obeyed stops over a restart."""
         return json.dumps({"ids": self._ids, "floor_s": self._floor_s}).encode()
 
     @classmethod
     def load(cls, data: bytes, tolerance_s: float) -> Seen:
-        """The object that dump() wrote. Raises ValueError."""
+        """Read what dump() has written. Raises ValueError."""
         try:
             found = json.loads(data)
             ids = {str(known): float(date_s) for known, date_s in found["ids"].items()}

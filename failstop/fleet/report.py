@@ -1,4 +1,4 @@
-"""Report: the result of a fleet stop, for people and for programs. Pure."""
+"""Report: shows the result of a fleet stop to people and to programs. Pure."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ if TYPE_CHECKING:
 
 
 NAME_COLUMNS = 64
-"""The longest name of a robot. Anyone who may publish on the broker could send a longer one."""
+"""The longest part of a robot's name that is shown, in columns. Anyone who may publish on the broker could invent a
+longer name."""
 MOST_NAMED = 5
 """How many robots the progress line names."""
 
 
 def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> list[Line]:
-    """How many robots have confirmed, how far each level has come, and who is missing. `doubts`: why there may be more
-    robots; `listed`: a file names the robots that exist."""
+    """The result for people: how many robots have confirmed, how many have reached each level, and which robots are
+    missing. `doubts`: reasons why more robots may exist. `listed`: True if a file names all robots."""
     robots, missing = tally.robots(), tally.missing()
     if not robots:
         return [[("This broker knows NO ROBOT, so none has confirmed", FAIL)], *_doubts(doubts)]
     role = FAIL if missing or doubts else OK
-    # Of a fleet that may be larger no count is shown that reads like all of it.
+    # If there may be more robots, the count must not look like the whole fleet.
     total = f"at least {len(robots)}" if doubts else f"{len(robots)}"
     counted = f"{len(robots) - len(missing)} of {total} robots have confirmed the stop"
     found: list[Line] = [[(counted, role)]]
@@ -61,8 +62,8 @@ def _name(robot: str) -> str:
 
 
 def progress(tally: Tally, problem: str, age_s: float) -> str:
-    """The progress line while the sender waits. `problem`: a problem with the broker; `age_s`: time since the sender
-    began, s."""
+    """The progress line. `problem`: a problem with the broker, or "". `age_s`: how long the sender has been running,
+    s."""
     end = f"({age_s:.0f} s; Ctrl-C shows the report so far)"
     if problem:
         return f"{problem}: trying again {end}"
@@ -76,8 +77,8 @@ def progress(tally: Tally, problem: str, age_s: float) -> str:
 
 
 def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """The result for programs. `complete` is true if all robots have confirmed and it is certain that these are all;
-    then the exit code is 0."""
+    """The result for programs. `complete` is True if all robots have confirmed, and there is no doubt that these are
+    all. Then the exit code is 0."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {

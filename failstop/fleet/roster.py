@@ -1,4 +1,4 @@
-"""Roster: what the robots have published on the broker. Pure; the clocks are arguments."""
+"""Roster: collects what the robots publish on the broker. Pure; the clocks are arguments."""
 
 from __future__ import annotations
 
@@ -16,89 +16,92 @@ MOST_BYTES = 65536
 """The longest message that is read, bytes."""
 MOST_VOLTS = 1000.0
 MOST_TEXT = 200
-"""The longest text that is kept from a robot, characters."""
+"""The longest text of a robot that is kept, characters."""
 LONGEST_PERIOD_S = 30.0
-"""The time between two states of a robot that does not report its own period, s. The setting robot.publish_s can't be
-longer."""
+"""The longest time between two state messages that the setting robot.publish_s allows, s. It is assumed for a robot
+that does not report its own period."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
-"""A robot counts as lost if it is silent for this many of its periods, plus this many seconds for the network."""
+"""How many seconds of silence are allowed for delays of the network, in addition to MISSED_PERIODS of the robot's
+periods. After that, the robot counts as lost."""
 
 
 @dataclasses.dataclass
 class Robot:
-    """One robot, as far as it has published anything."""
+    """What is known about one robot from its messages."""
 
     id: str
-    """Its name, with printable characters only."""
+    """The robot's name, with printable characters only."""
     connection: str = ""
-    """message.ONLINE, OFFLINE or LOST; empty if the broker has never reported it."""
+    """message.ONLINE, OFFLINE or LOST. Empty if the broker has not sent a message about the robot's connection."""
     word: str = ""
     why: str = ""
     next: str = ""
     volts: float | None = None
     latched: bool = False
     moves: bool = False
-    """True if it is commanded to move, or its wheels are seen to turn."""
+    """True if the robot is commanded to move, or if its wheels are seen to turn."""
     errors: tuple[str, ...] = ()
-    """The kinds of its errors that need a person."""
+    """The kinds of errors that need a person."""
     warnings: int = 0
     deaf: str = ""
-    """Why it would obey no fleet stop; empty if it reports no such error."""
+    """Why the robot would obey no fleet stop. Empty if it would obey one, as far as it reports."""
     doubled: str = ""
-    """Its report about another publisher of its name; empty if it has reported none."""
+    """The robot's report that another publisher uses its name. Empty if it reports none."""
     period_s: float = LONGEST_PERIOD_S
-    """The robot publishes a state at least this often, s."""
+    """The longest time between two state messages of this robot, s."""
     stamped_s: float | None = None
-    """When the robot made its last state, by the robot's own clock (Unix, s)."""
+    """When the robot made its newest state message, by its own clock (Unix time, s)."""
     dated_s: float | None = None
-    """When the robot made its newest message, by the robot's own clock (Unix, s)."""
+    """When the robot made its newest message, by its own clock (Unix time, s)."""
     heard_s: float | None = None
-    """When its last state arrived, by this computer's monotonic clock, s. None if the broker had stored that state."""
+    """When the newest state message arrived (this computer's monotonic clock, s). None if the broker had stored it,
+    because its arrival then says nothing about its age."""
     sign_s: float | None = None
-    """When it last showed that it is alive, by this computer's monotonic clock, s; None: not since this roster
-    began."""
+    """When the robot last showed that it is alive (this computer's monotonic clock, s). None if it has not, since this
+    roster was made."""
     first_s: float | None = None
-    """When its first message arrived, by this computer's monotonic clock, s."""
+    """When the robot's first message arrived (this computer's monotonic clock, s)."""
 
     def age_s(self, now_s: float, unix_s: float) -> float | None:
-        """The age of its last state, s; None if it has published none."""
+        """The age of the newest state message, s. None if the robot has published no state."""
         if self.heard_s is not None:
             return now_s - self.heard_s
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """For how long it has shown no sign of life, s, as far as is known. The age of a message that the broker had
-        stored is taken from the robot's clock, so it seems younger if that clock is ahead."""
+        """How long the robot has shown no sign of life, s, as far as is known. If there is only a message that the
+        broker had stored, its age is computed from the robot's clock. It is too small if that clock is ahead."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
         return watched_s if self.dated_s is None else max(watched_s, unix_s - self.dated_s)
 
     def silent_after_s(self) -> float:
-        """After how long a silence, s, the robot counts as lost, even if the broker still calls it ONLINE. The broker
-        does that for a robot that was switched off while the broker was down."""
+        """How long a robot may be silent until it counts as lost, s. This also applies to a robot that the broker still
+        reports as ONLINE. The broker does so if the robot was switched off while the broker was down."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:
-        """True if the robot is lost, so that nothing that it has published is known to be true now."""
+        """True if the robot counts as lost. Then nothing that it has published may be true any more."""
         silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
         if not self.connection and self.sign_s is not None:
-            return silent  # the broker hides its connection, and passes on its states
+            return silent  # the broker hides the robot's connection messages, but shows its states
         return silent or self.connection != message.ONLINE
 
 
 class Roster:
-    """Every robot that has published something."""
+    """All robots that have published something."""
 
     def __init__(self) -> None:
         self.robots: dict[str, Robot] = {}
-        """The robots by their names in topics."""
+        """The robots, by their names in topics."""
         self.strange = 0
         """How many messages could not be read."""
 
     def hear(self, topic: str, payload: bytes, now_s: float, *, retained: bool) -> None:
-        """Take in a robot's message. An empty message removes what the broker had stored."""
+        """Add a robot's message to what is known. An empty message removes the robot, because somebody has removed its
+        stored message from the broker."""
         robot, last = topics.robot_of(topic)
         if not payload:
             self.robots.pop(robot, None)
@@ -126,13 +129,14 @@ class Roster:
         self.robots[robot] = known
 
     def sorted(self) -> list[Robot]:
-        """The robots by name; numbers in names are compared as numbers."""
+        """The robots in the order of their names. Numbers in names are compared as numbers, so robot-2 comes before
+        robot-10."""
         return sorted(self.robots.values(), key=lambda robot: _natural(robot.id))
 
 
 def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
-    """Take in a state message. Raises ValueError, KeyError, TypeError, AttributeError or OverflowError if it is not
-    one."""
+    """Add the content of a state message to the robot. Raises ValueError, KeyError, TypeError, AttributeError or
+    OverflowError if it is malformed."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
     robot.moves = found["moves"] is True
@@ -146,13 +150,13 @@ def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> N
 
 
 def _text(found: object) -> str:
-    """A robot's text on one line, cut to the length that people read."""
+    """A robot's text in printable characters, on one line, and at most MOST_TEXT long."""
     return words.printable(str(found)[:MOST_TEXT])[:MOST_TEXT]
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """The number, if it is in this range; None for anything else, because JSON as Python reads it has NaN and integers
-    of any length."""
+    """The value if it is a number in this range, else None. The range also excludes NaN and integers of any length,
+    which Python accepts in JSON."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)
@@ -166,7 +170,7 @@ def _natural(name: str) -> list[tuple[int, int, str]]:
             digits += c
             continue
         if digits:
-            # By length first, as numbers: one of thousands of digits is none that Python reads.
+            # Compare the length first, and then the digits. Python refuses to read a number of thousands of digits.
             number = digits.lstrip("0")
             parts.append((0, len(number), number))
             digits = ""

@@ -1,4 +1,4 @@
-"""Scraped: the HTTP server for the metrics. Its threads and memory stay limited, whatever connects."""
+"""Scraped: the HTTP server for the metrics. However many programs connect, its threads and its memory stay limited."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 MOST_CONNECTIONS = 8
-"""How many connections there may be. One more closes the oldest, which must be idle, because a scrape takes
+"""How many connections may be open. A further one closes the oldest. That one must be idle, because a scrape takes only
 milliseconds."""
 REQUEST_S = 5.0
-"""How long a request may take to arrive, or an answer to be received, s."""
+"""How long a request may take to arrive, and its answer to be sent, s."""
 
 
 class Handler(WSGIRequestHandler):
-    """Answers one request, and writes no line to stderr."""
+    """Answers one request, without logging it."""
 
     timeout = REQUEST_S
 
@@ -27,7 +27,7 @@ class Handler(WSGIRequestHandler):
 
 
 class Server(ThreadingMixIn, WSGIServer):
-    """A server that answers each of the newest connections in a thread of its own."""
+    """An HTTP server with a thread for each connection. If there are too many, it closes the oldest."""
 
     daemon_threads = True
     block_on_close = False
@@ -35,13 +35,13 @@ class Server(ThreadingMixIn, WSGIServer):
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError, OverflowError."""
         self._open: dict[socket.socket, threading.Thread] = {}
-        """The open connections, the oldest first. The thread that accepts connections adds to it, and every other
-        thread removes its own."""
+        """The open connections, the oldest first, each with its thread. The thread that accepts connections adds them,
+        and each connection's thread removes its own."""
         self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         super().__init__((host, port), Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a new thread. If there are too many connections, close the oldest one first."""
+        """Answer in a new thread. If too many connections are open, close the oldest first."""
         known = list(self._open)
         for oldest in known[: max(0, len(known) - MOST_CONNECTIONS + 1)]:
             self._end(oldest)
@@ -64,12 +64,12 @@ class Server(ThreadingMixIn, WSGIServer):
         self._open.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Report nothing: a connection has ended in the middle of a request."""
+        """Report nothing, because an error only means that a connection ended in the middle of a request."""
 
 
 @contextlib.contextmanager
 def running(server: Server) -> Iterator[int]:
-    """Serve for as long as the context lasts; yields the port."""
+    """Run the server while the context lasts. Yields its port."""
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long to wait for the third proof after all robots have confirmed, s."""
+"""How long to wait, after all robots have confirmed, until their wheels are seen still, s."""
 WAIT_S = 5.0
-"""How long to wait for robots that have not confirmed, s, unless --wait says otherwise."""
+"""How long to wait for robots that have not confirmed, s, if --wait is not given."""
 TURN_S = 0.05
 BY_HAND = "stop them by hand (power switch)"
 
@@ -39,29 +39,31 @@ class Sender:
         """True if a file names the robots that must confirm."""
         self.tally = Tally(listed)
         self.sent_s: float | None = None
-        """When the stop was first handed to the broker (time.monotonic()), s."""
+        """When the stop was first given to the broker (time.monotonic(), s). None before that."""
         self.doubts: tuple[str, ...] = ()
-        """After run(): why there may be robots that are not counted; empty if nothing suggests that."""
+        """Why robots may exist that are not counted. It is known after run(), and empty if there is no doubt."""
         self._key = signed.read_key(found.text("stop.key_file"))
         self._order = Order(self.id, 0.0, reason, by)
         self._fleet = found.text("robot.fleet")
         self._away_s = LONGEST_PAUSE_S + found.number("robot.publish_s")
-        """How long a robot may take to connect again after the broker was restarted, s: until its next state message,
-        at which it notices, and then until an attempt succeeds."""
+        """How long a robot may take to connect again after a restart of the broker, s. The robot notices the restart
+        when it sends its next state message, and may then need several attempts."""
         self._probe = topics.answer(self._fleet, self.id, "probe/end")
         self.heard_all = False
-        """True once the broker has named all robots that it remembers, on this connection."""
+        """True once the broker has named all robots that it remembers, on the present connection."""
         self._repeats = Repeats()
         self._connections = topics.of_robot(self._fleet, topics.ANY, topics.CONNECTION)
         wanted = (topics.answer(self._fleet, self.id, topics.ANY), self._connections, self._probe)
-        # All at once, from a thousand robots: what is lost all the same, the next sending is answered with.
+        # A thousand robots answer at once. If an answer is lost, the robot answers again to the next sending.
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
     def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
-        """Send the stop until all robots have confirmed, for at most `wait_s`. None means WAIT_S, or longer if the
-        broker may have restarted so recently that a robot is not connected again. `progress` is called at each turn.
-        Returns True if every robot has confirmed and it is certain that these are all. Raises FleetError if no broker
-        took the stop."""
+        """Send the stop, and repeat it until all robots have confirmed it. Returns True if every robot has confirmed,
+        and there is no doubt that these are all. Raises FleetError if no broker took the stop.
+
+        `wait_s` is the longest time to wait. If it is None, that is WAIT_S, or longer if the broker may have restarted
+        recently, because some robots may still be reconnecting. `progress` is called again and again meanwhile.
+        """
         until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
         confirmed_s: float | None = None
         try:
@@ -95,7 +97,7 @@ class Sender:
         return self.heard_all and self.tally.all_confirmed()
 
     def _late(self, now_s: float) -> str:
-        """Why a robot may exist that the broker does not know yet; empty if every robot has had time to connect."""
+        """Why a robot may exist that the broker does not know yet. Empty if every robot has had time to connect."""
         after_s = now_s - (self.sent_s or now_s)
         oldest_s = self.tally.oldest_s()
         if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
@@ -112,7 +114,7 @@ class Sender:
         return ""
 
     def _doubts(self, now_s: float) -> list[str]:
-        """All reasons why the count of robots may be incomplete."""
+        """All reasons why robots may be missing from the count."""
         found = []
         if self.sent_s is not None and self.broker.problem:
             found.append(f"the connection was lost in the meantime: {self.broker.problem}")
@@ -141,7 +143,8 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """Send the stop to all robots; when it is repeated and only a few are missing, to each of these."""
+        """Send the stop to all robots. When it is repeated and only a few robots are missing, send it to each of these
+        instead."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)
@@ -149,7 +152,7 @@ class Sender:
         most = len(missing) > max(MANY, len(self.tally.robots()) // 2)
         some = self.sent_s is not None and self.heard_all and not most
         if not missing and self.tally.hidden():
-            some = False  # whoever comes back now is not named either
+            some = False  # the broker hides robots, so send it to all
         self._repeats.sent(now_s, len(missing))
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
@@ -167,7 +170,7 @@ class Sender:
         try:
             answer = levels.read_answer(self._key, payload)
         except signed.Forged:
-            return  # nobody's word for it
+            return  # it is not signed by a robot of this fleet
         now_s = time.monotonic()
         if answer.id == self.id and self.sent_s is not None and self.tally.answer(answer, now_s - self.sent_s):
             self._repeats.heard(now_s)

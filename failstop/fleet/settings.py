@@ -1,7 +1,7 @@
-"""The fleet's settings: the broker, this robot's name there, the key. They have their own file.
+"""The fleet's settings: the broker, this robot's name in the fleet, and the key. They have their own file.
 
-The service does not read this file, so a mistake in it can't keep the service from starting. It is also needed on a
-computer without a robot, from which somebody stops the fleet.
+The service does not read this file, so a mistake in it can't keep the service from starting. A computer without a robot
+needs the file too, if somebody stops the fleet from there.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
 UNIT = "failstop-fleet.service"
 KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
-"""The names of the credentials that systemd may hand over to the unit (LoadCredential)."""
+"""The names of the credentials that systemd may pass to the unit (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
-"""The allowed names of a robot or a fleet: without `/`, `+` and `#`, which mean something in a topic."""
+"""The allowed names of robots and fleets. They have no `/`, `+` or `#`, because these have a meaning in MQTT topics."""
 
 DECLARED = (
     Setting("broker.host", "127.0.0.1", "", None, None, "the host name or address of the MQTT broker"),
@@ -89,14 +89,14 @@ GONE = {
     "robot.manufacturer": "failstop no longer publishes VDA 5050. Remove this line; if it named your fleet, write "
     "robot.fleet instead, the same on every robot and on the computer that stops them",
 }
-"""Settings that no longer exist, with what to do about each."""
+"""Settings that failstop does not have any more. The text of each says what to do."""
 
 
 class FleetSettings:
-    """A complete, checked set of values."""
+    """All settings of the fleet, checked."""
 
     def __init__(self, given: dict[str, object]) -> None:
-        """`given`: values by whole key; all other settings have their defaults. Raises SettingError."""
+        """`given`: values, each with its whole key. All other settings have their defaults. Raises SettingError."""
         for key in sorted(set(given) & set(GONE)):
             raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
@@ -108,7 +108,7 @@ class FleetSettings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse settings that would be ignored, so that their owner would have less protection than expected."""
+        """Refuse settings that would have no effect, because their owner would believe to be protected by them."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
@@ -125,8 +125,8 @@ class FleetSettings:
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """The path of the file with a secret: systemd's credential of this name if it exists, else the file in the
-        setting."""
+        """The path of a file with a secret. It is systemd's credential with this name if there is one, else the value
+        of the setting."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
@@ -136,12 +136,12 @@ class FleetSettings:
         return float(self._values[key])
 
     def on(self, key: str) -> bool:
-        """True if a switch is on."""
+        """True if this switch is on."""
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """The robot's name in the fleet, for the service of this name. Raises SettingError if it comes from the host's
-        name and that is not allowed as a robot's name."""
+        """The robot's name in the fleet, for the service `name`. Raises SettingError if it would be the computer's host
+        name, but that is not allowed as a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()
@@ -151,8 +151,8 @@ class FleetSettings:
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSettings:
-    """The settings of a file, replaced by `changed` where it has a value. Without a path it reads the installed file,
-    if that exists. Raises SettingError."""
+    """Read the settings from a file. Values in `changed` replace those in the file. Without a path, this reads the
+    installed file if there is one. Raises SettingError."""
     if path is None and os.path.exists(installed := root.at(PLACE)):
         path = installed
     found = config.read(path)
@@ -165,7 +165,8 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """The robots that a fleet stop must reach, from stop.robots_file; None if that is not set. Raises FleetError."""
+    """The robots that must confirm a fleet stop, from the file stop.robots_file. None if that setting is empty. Raises
+    FleetError."""
     path = found.text("stop.robots_file")
     if not path:
         return None
@@ -184,8 +185,8 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
 
 
 def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetError:
-    """An error that names the setting, the file and what helps. `credential`: the name by which the unit may hand the
-    file over; empty: it is no secret."""
+    """An error that names the setting, the file, and the remedy. `credential`: the name of the credential by which
+    systemd can pass the file to the unit, or "" if the file is not secret."""
     text = f"{key} {path}: {error.strerror or error}"
     if not isinstance(error, PermissionError):
         return FleetError(text)
@@ -198,7 +199,8 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """A complete settings file. Every default is commented out, and a setting may also be added at the end."""
+    """The text of a settings file that shows every setting with its default. All defaults are commented out, so a
+    setting may also be added at the end."""
     lines = [
         "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
         "# a line with the whole name anywhere.",
@@ -215,7 +217,7 @@ def example() -> str:
 
 
 def markdown() -> list[str]:
-    """The table of docs/fleet.md."""
+    """The lines of the settings table in docs/fleet.md."""
     rows = ["| setting | default | allowed | what it is |", "|---|---|---|---|"]
     for row in DECLARED:
         default = f"`{row.default}`" if row.default != "" else ""

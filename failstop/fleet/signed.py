@@ -1,9 +1,9 @@
-"""Signed messages, which prove that their sender has the fleet's key. Pure, except for the functions that read and make
-the key's file.
+"""Signed messages: they prove that their sender has the fleet's key. Pure, except for reading and making the key's
+file.
 
-A message is {"body": "...", "mac": "..."}. The mac is the HMAC-SHA256 of the purpose and of the body's text. The text
-is signed as it is, so programs may format JSON differently. The purpose is signed too, so an answer is never taken for
-a stop.
+A message is {"body": "...", "mac": "..."}. The mac is the HMAC-SHA256 of the message's purpose and the body's text. The
+text itself is signed, so it does not matter how a program formats JSON. The purpose is signed too, so nobody can pass
+an answer off as a stop.
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ if TYPE_CHECKING:
 
 KEY_BYTES = 32
 MOST_BYTES = 4096
-"""The longest message, bytes. A longer one is refused unread."""
+"""The longest allowed message, bytes. A longer one is refused without reading it."""
 STOP_PURPOSE = "failstop fleet stop 1"
 ANSWER_PURPOSE = "failstop fleet answer 1"
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 class Forged(ValueError):
-    """The bytes are not a message that was signed with the fleet's key."""
+    """The message was not signed with the fleet's key."""
 
 
 def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
-    """The signed message with this body, as bytes. `purpose`: STOP_PURPOSE or ANSWER_PURPOSE."""
+    """Make a signed message from this body. `purpose`: STOP_PURPOSE or ANSWER_PURPOSE."""
     text = json.dumps(body, separators=(",", ":"), sort_keys=True)
     return json.dumps({"body": text, "mac": _mac(key, purpose, text)}, separators=(",", ":")).encode()
 
 
 def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
-    """The body of a signed message. Raises Forged if it was not signed with this key for this purpose."""
+    """Check a signed message, and return its body. Raises Forged if it was not signed with this key for this
+    purpose."""
     if len(message) > MOST_BYTES:
         raise Forged(f"{len(message)} bytes")
     try:
@@ -69,7 +70,8 @@ def _mac(key: bytes, purpose: str, text: str) -> str:
 
 
 def make_key(path: str) -> None:
-    """Make a new key in a new file that only its owner may read. Raises FleetError, also if the file exists."""
+    """Write a new key to a new file that only its owner may read. Raises FleetError, also if the file exists
+    already."""
     try:
         os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -84,7 +86,8 @@ def make_key(path: str) -> None:
 
 
 def read_key(path: str) -> bytes:
-    """The key in a file. Raises FleetError if the file is missing, others may read it, or it is not a key."""
+    """Read the key from its file. Raises FleetError if the file is missing, if other users may read it, or if it
+    contains no key."""
     try:
         fd = durable.open_regular(path)
         try:
@@ -109,7 +112,7 @@ def read_key(path: str) -> bytes:
 
 
 def _handed_over(path: str) -> bool:
-    """True for a credential from systemd. It is in a folder that only this service can open, so it does not matter that
-    its rights look too wide."""
+    """True if the file is a credential from systemd. Its permissions may look too wide, but it is in a folder that only
+    this service can open."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

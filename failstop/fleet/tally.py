@@ -1,5 +1,5 @@
-"""Tally: which robots have confirmed a fleet stop, and which are missing. Pure; times are counted from the first
-sending, s."""
+"""Tally: counts which robots have confirmed a fleet stop, and which are missing. Pure; times are in s since the stop
+was first sent."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ UNCONFIRMED = {
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
     levels.OBSERVED: "written, but its IMU has not observed that the wheels have stopped",
 }
-"""The words for a robot that has not come to the level that confirms."""
+"""For each level that can confirm a stop: what is reported about a robot that has not reached it."""
 TAKEN_OFF = "TAKEN OFF"
-"""Somebody removed the robot's connection from the broker while the stop was sent."""
+"""The connection of a robot whose stored message was removed from the broker during the stop."""
 WORDS = {
     message.OFFLINE: "its publisher was ended",
     message.LOST: "its connection is broken",
@@ -36,46 +36,46 @@ DOUBLED = (
 )
 OLDER = "its failstop is older and can't tell a second robot of this name apart: update it"
 STABLE_S = 2.0
-"""A connection of this age, s, is certainly not one of two clients that use the same name, because two such clients
-take the connection from each other every second."""
+"""How old a connection must be, s, to be certain that no second client uses its name. Two clients with the same name
+end each other's connection every second."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
-    """A robot that has not confirmed, and what is known about it."""
+    """A robot that has not confirmed the stop, and what is known about the reason."""
 
     robot: str
     why: str
 
 
 class Tally:
-    """The robots that must confirm a stop, and the answers of each."""
+    """The robots that must confirm a stop, and what each has answered."""
 
     def __init__(self, listed: frozenset[str] | None) -> None:
-        """`listed`: robots that must confirm even if the broker does not remember them."""
+        """`listed`: robots that must confirm even if the broker does not know them."""
         self._listed = listed or frozenset()
         self._connections: dict[str, tuple[str, str]] = {}
-        """For every robot that the broker has named: (the last report about its connection, the number of the publisher
-        that has it). No robot is ever removed."""
+        """For every robot that the broker has named: its last reported connection, and the number of the publisher that
+        reported it. No robot is ever removed."""
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
-        """The level that confirms a stop, as each robot has reported it."""
+        """For each robot, the level that confirms a stop there, as the robot has reported it."""
         self._reached_it: set[str] = set()
-        """Robots that have reached that level."""
+        """Robots that have reached the level that confirms a stop there."""
         self._barred: dict[str, str] = {}
-        """Robots that never count as confirmed, each with the reason."""
+        """Robots that can't count as confirmed, each with the reason."""
         self._publishers: dict[str, set[str]] = {}
-        """For each name, the numbers of all publishers that were connected or answered."""
+        """For each robot's name, the numbers of all publishers that were connected or have answered."""
         self._doubled: set[str] = set()
-        """Robots whose publishers report that another one uses the same name."""
+        """Robots whose publishers report that another publisher uses the same name."""
         self._since_s: dict[str, float] = {}
-        """When the connections began through which the robots answered."""
+        """When each robot's connection to the broker began, as its answer reports it."""
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str, publisher: str = "") -> None:
-        """Take in the broker's report about a robot's connection, and the number of its publisher. An empty word means
-        that somebody has removed the report."""
+        """Note what the broker reports about a robot's connection, with the number of the robot's publisher. An empty
+        `word` means that somebody has removed the stored message."""
         if word:
             self._connections[robot] = word, publisher
         elif robot in self._connections:
@@ -85,8 +85,8 @@ class Tally:
         self._judge(robot)
 
     def answer(self, answer: StopAnswer, after_s: float) -> bool:
-        """Take in a robot's answer: the first time of each level, and the newest report of what is wrong. True if it
-        brought a new level."""
+        """Note a robot's answer, which arrived at `after_s`. Returns True if the answer has a level that this robot had
+        not reported before."""
         told = self._answers.setdefault(answer.robot, {})
         new = [level for level in answer.reached if level not in told]
         for level in new:
@@ -104,10 +104,10 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Bar a robot if two publishers use its name."""
+        """Keep a robot from counting as confirmed if two publishers use its name."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
-        # The last word on its connection is of a publisher that has gone, and another one answers.
+        # One publisher's connection has ended, but another publisher answers.
         others = word in (message.OFFLINE, message.LOST) and bool(publishers) and number not in publishers
         if len(publishers) > 1 or robot in self._doubled or others:
             self._barred[robot] = DOUBLED
@@ -117,11 +117,12 @@ class Tally:
             self._barred.pop(robot, None)
 
     def reconnected(self) -> None:
-        """The sender has a new connection, so how long the broker has been running must be found out again."""
+        """Forget how long the robots have been connected, because the sender has a new connection and the broker may
+        have restarted."""
         self._since_s.clear()
 
     def robots(self) -> list[str]:
-        """All robots that must confirm: those in the file, those that the broker has named, and those that have
+        """All robots that must confirm: the robots in the file, those that the broker has named, and those that have
         answered."""
         return sorted({*self._known(), *self._answers})
 
@@ -129,39 +130,41 @@ class Tally:
         return self._connections.keys() | self._listed
 
     def hidden(self) -> list[str]:
-        """Robots that have answered although the broker never named them. So the broker does not name all."""
+        """Robots that have answered but were never named by the broker. If there are any, the broker may hide more
+        robots."""
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """The robots that have reported this level. Robots with two publishers are left out, because nobody knows which
-        of the two answered."""
+        """The robots that have reported this level. A robot with two publishers is left out, because nobody knows which
+        of them has answered."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
-        """True if every robot has reported this level; False if no robot is known."""
+        """True if every robot has reported this level. False if no robot is known."""
         if self._counts.get(level, 0) < max(1, len(self._answers)):
-            return False  # the quick way: this is asked after each answer
+            return False  # a quick test, because this is called after each answer
         robots = self.robots()
         return bool(robots) and self.reached(level) == robots
 
     def times_s(self, level: str) -> list[float]:
-        """When the robots reported this level, the earliest first."""
+        """When each robot reported this level, the earliest first."""
         return sorted(self._answers[robot][level] for robot in self.reached(level))
 
     def all_confirmed(self) -> bool:
-        """True if every robot has confirmed the stop; False if no robot is known."""
+        """True if every robot has confirmed the stop. False if no robot is known."""
         confirmed = self._reached_it
         if not confirmed or self._barred.keys() & confirmed:
             return False
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """When the oldest connection of a robot began, according to the answers; the broker has been running since
-        then."""
+        """When the oldest connection of a robot to the broker began, as the answers report it. The broker has been
+        running since then. None if there is no answer."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Robots whose connection is so young that another robot of the same name may be taking turns with it."""
+        """Robots whose connection is younger than STABLE_S. Another robot with the same name may be taking turns with
+        them."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:
@@ -169,7 +172,7 @@ class Tally:
         return {robot: self._confirms[robot] for robot in sorted(self._reached_it - self._barred.keys())}
 
     def missing(self) -> list[Missing]:
-        """The robots that have not confirmed the stop, each with the reason, if it is known."""
+        """The robots that have not confirmed the stop, each with the reason as far as it is known."""
         confirmed = self._reached_it - self._barred.keys()
         return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in confirmed]
 

@@ -16,21 +16,21 @@ EVENT = "event"
 
 
 def of_robot(fleet: str, robot: str, last: str) -> str:
-    """The topic of one robot, or of ANY, that ends in `last`."""
+    """The topic of one robot that ends with `last`. With ANY as the robot, it is a pattern for all robots."""
     return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 
 def robot_of(topic: str) -> tuple[str, str]:
-    """Split a topic that of_robot() has made into the robot's name and the last part."""
+    """Split a robot's topic into the robot's name and the last part."""
     parts = topic.split("/")
     return (parts[-2], parts[-1]) if len(parts) > 1 else ("", topic)
 
 
 def stop(fleet: str, robot: str = "") -> str:
-    """The topic of stops for all robots, or for one."""
+    """The topic for stops to all robots, or to one robot."""
     return f"{ROOT}/{fleet}/stop{'/' if robot else ''}{robot}"
 
 
 def answer(fleet: str, stop_id: str, robot: str) -> str:
-    """The topic of the answer of one robot, or of ANY, to this stop."""
+    """The topic for a robot's answer to this stop. With ANY as the robot, it is a pattern for all robots."""
     return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

@@ -1,4 +1,4 @@
-"""View: the robots of a fleet on a screen. Pure."""
+"""View: shows the robots of a fleet on a screen. Pure."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
 everything else off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
-"""If the state of a connected robot is older than this, s, it is shown as old, because a new one comes every 30 s or
-sooner."""
+"""How old the state of a connected robot may be, s, until it is shown as old. A robot publishes a new state at least
+every 30 s."""
 ROLES = {
     verdict.DRIVING: OK,
     verdict.STANDING: OK,
@@ -47,18 +47,19 @@ ORDER = (
     verdict.STANDING,
     ENDED,
 )
-"""The order of rows: robots that need a person come first."""
+"""The order of the rows. Robots that need a person come first."""
 
 
 def word(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A word about the robot's wheels, or LOST or OFFLINE if it is not connected. `now_s`: time.monotonic()."""
+    """A word about the robot's wheels, or LOST or OFFLINE if the robot is not connected. `now_s`: time.monotonic().
+    `unix_s`: Unix time."""
     if robot.connection == message.OFFLINE:
         return ENDED
     return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
 
 
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A line that says why its wheels do that."""
+    """A line that explains the word about the robot's wheels."""
     if robot.connection == message.OFFLINE:
         return "its publisher was ended, so nobody here knows what the robot does"
     if robot.lost(now_s, unix_s):
@@ -79,7 +80,7 @@ def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
 
 
 def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
-    """How many robots do what, in one line."""
+    """One line with the number of robots for each word."""
     found = [word(robot, now_s, unix_s) for robot in robots]
     line: Line = [(f"{len(robots)} robot{'' if len(robots) == 1 else 's'}", STRONG)]
     for name in (*ORDER, OTHER):
@@ -94,8 +95,8 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
 
 
 def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
-    """A row for each robot; robots that need a person come first. `columns`: the width of the screen, of which the
-    names get a third."""
+    """A table with a row for each robot. Robots that need a person come first. `columns`: the screen's width. Robots'
+    names get at most a third of it."""
     most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]
@@ -127,7 +128,8 @@ def lines(
     rows: int,
     blind: str = "",
 ) -> list[Line]:
-    """The whole screen. `problem`: a problem with the broker; `blind`: why robots may be missing. Both may be empty."""
+    """The whole screen. `where`: the broker's address. `problem`: a problem with the broker, or "". `blind`: why robots
+    may be missing, or ""."""
     left, right = f"fleet at {where}", f"{words.clock(unix_s, unix_s)}   q quits"
     title: Line = [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
     head: list[Line] = [title, []]

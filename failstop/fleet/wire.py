@@ -1,8 +1,8 @@
-"""Wire: cuts the bytes from a broker into packets before paho-mqtt reads them. Pure.
+"""Wire: splits the bytes from a broker into packets before paho-mqtt reads them. Pure.
 
-A broker passes on whatever others publish: any size, any topic, at any rate. So messages are taken out here, all that
-have arrived together, and their reader can begin with the newest. The other packets, which are answers to this client's
-own packets, are left for paho-mqtt.
+A broker passes on whatever others publish, of any size and at any rate. So this takes out all messages that have
+arrived, and the reader can handle the newest first. All other packets are answers to this client's own packets, and are
+left for paho-mqtt.
 """
 
 from __future__ import annotations
@@ -10,25 +10,25 @@ from __future__ import annotations
 Message = tuple[str, bytes, bool]
 """A published message: (topic, payload, True if the broker had stored it)."""
 MOST_BYTES = 1 << 17
-"""The longest packet, bytes. A longer one is skipped while it arrives, and never kept in memory."""
+"""The longest allowed packet, bytes. A longer one is skipped while it arrives, and is never kept in memory."""
 LONGEST_HEAD = 5
 PUBLISH, KIND, QOS, RETAIN = 0x30, 0xF0, 0x06, 0x01
 """Bits of a packet's first byte."""
 
 
 class Malformed(ConnectionError):
-    """The bytes are not MQTT, so all bytes after them can't be read either."""
+    """The bytes are not MQTT, so nothing after them can be read either."""
 
 
 class MqttWire:
-    """The incoming bytes of one connection."""
+    """The bytes that arrive on one connection."""
 
     def __init__(self) -> None:
         self.skipped = 0
-        """How many packets were too long, and how many messages had no readable topic."""
+        """How many packets were skipped, because they were too long or their topic could not be read."""
         self._bytes = bytearray()
         self._skip = 0
-        """How many bytes of a too long packet are still to come."""
+        """How many bytes of a skipped packet have not arrived yet."""
         self._rest = bytearray()
         self._messages: list[Message] = []
 
@@ -51,8 +51,8 @@ class MqttWire:
         del self._bytes[:at]
 
     def _sort(self, start: int, body: int, end: int) -> None:
-        """Sort one whole packet: keep a message that asks for no acknowledgement, and leave anything else for
-        paho-mqtt."""
+        """Sort a complete packet. A message that needs no acknowledgement is kept here, and any other packet is left
+        for paho-mqtt."""
         first = self._bytes[start]
         if first & (KIND | QOS) != PUBLISH:
             self._rest += self._bytes[start:end]
@@ -72,7 +72,7 @@ class MqttWire:
         return bool(self._rest)
 
     def read(self, most: int) -> bytes:
-        """The next bytes for paho-mqtt, at most `most`."""
+        """The next bytes for paho-mqtt, at most `most` of them."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]
         return taken
@@ -84,8 +84,8 @@ class MqttWire:
 
 
 def _head(data: bytearray, at: int) -> tuple[int, int] | None:
-    """Where the body of the packet begins whose first byte is at `at`, and where it ends; None if too few bytes have
-    arrived."""
+    """Find the body of the packet that begins at `at`. Returns where the body begins and where it ends, or None if too
+    few bytes have arrived. Raises Malformed."""
     length = 0
     for place in range(at + 1, min(at + LONGEST_HEAD, len(data))):
         length |= (data[place] & 0x7F) << (7 * (place - at - 1))
