@@ -1,1 +1,1 @@
-"""Doctor: whether this machine and this board let failstop do what it promises. Each check looks, and judges."""
+"""Doctor: checks whether failstop can keep its promises on this computer, with this board."""

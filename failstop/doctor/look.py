@@ -1,5 +1,5 @@
-"""A look of doctor: what was asked, and what several checks look at, found when the first of them asks for it. And the
-finding: what a check has to say, and what helps, a command, or what a person is to do."""
+"""Look: what the checks of the doctor share. A Look has the question (which service, which port), and finds facts for
+the checks when they first need them. A Finding is one result of a check, with a remedy."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ SKIP = "skip"
 WARN = "warn"
 FAIL = "fail"
 LEVELS = (OK, SKIP, WARN, FAIL)
-"""fail: a stop may be missing or late, or the service can't run; warn: it runs, with less certainty than it could;
-skip: nobody has looked, or there is nothing here to look at; ok: looked at, and well."""
+"""The levels of a finding. `ok`: checked, and fine. `skip`: not checked, or nothing to check. `warn`: failstop works,
+but less reliably than it could. `fail`: a stop may be missing or late, or the service can't run."""
 
 PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,MainPID,NRestarts"
 
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One line."""
+    """One result of a check."""
 
     level: str
     text: str
     fix: str = ""
-    """A command that can be pasted into a shell; empty where none helps."""
+    """A command that can be pasted into a shell. Empty if no command helps."""
     advice: str = ""
-    """A thing that a person is to do, or to know of the command."""
+    """What a person must do, or must know about the command."""
 
 
 def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Finding]:
@@ -52,25 +52,27 @@ def _found(level: str, text: str, fix: str = "", advice: str = "") -> list[Findi
 
 
 ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
-"""The result of a check: text, fix, advice."""
+"""Functions that return the result of a check as a list with one Finding. The arguments are text, fix and advice."""
 
 
 @dataclasses.dataclass(eq=False)
 class Look:
-    """One look. A test sets what it likes, and so keeps it from being looked for."""
+    """What the checks look at. Facts are found when they are first needed. A test may set a fact before that, and it is
+    then not looked for."""
 
     name: str = DEFAULT_NAME
     config_path: str | None = None
     device_path: str | None = None
     quick: bool = False
-    """Without the timing self-test."""
+    """True to leave out the measurement of wake-up delays."""
     system: System = dataclasses.field(default_factory=System)
     tried: tuple[list[Finding], list[Finding]] | None = None
-    """Findings of a try at the port, on the board and on the stop path; None: the port was not opened."""
+    """Findings from opening the port: about the board, and about the stop path. None if the port was not opened."""
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
-        """(the file, empty for none; what is set; what is wrong with it, in one line, and the defaults count)."""
+        """(path of the settings file, settings, problem). The path is empty if there is no file. If the file has a
+        problem, it is described in one line, and the settings are the defaults."""
         path = config.chosen(self.name, self.config_path)
         try:
             return path or "", config.load(path), ""
@@ -79,17 +81,18 @@ class Look:
 
     @cached_property
     def active_settings(self) -> Settings:
-        """The settings of the running service, else those that a start would read."""
+        """The settings of the running service. If no service is running, the settings that it would read at its
+        start."""
         return Settings(dict(StateReader(self.name).settings())) if self.state else self.settings[1]
 
     @property
     def kind(self) -> str:
-        """The board's, as these settings name it."""
+        """The kind of board that the active settings name."""
         return self.active_settings.text("board.kind")
 
     @cached_property
     def board(self) -> Board:
-        """The board that they name."""
+        """The board that the active settings name."""
         try:
             return board_of(*self.active_settings.board())
         except ValueError as error:
@@ -97,7 +100,8 @@ class Look:
 
     @cached_property
     def service(self) -> tuple[State | None, str, str]:
-        """(the running service's state, its version; why it can't be read, in one line). Nothing: there is none."""
+        """(state of the running service, its version, problem). The problem says in one line why the state can't be
+        read. All three are empty if no service is running."""
         try:
             return StateReader(self.name).read(), segments.version(client.run(self.name)[0]), ""
         except NoService:
@@ -107,25 +111,25 @@ class Look:
 
     @property
     def state(self) -> State | None:
-        """The state of the running service. None: no service runs, or its state can't be read."""
+        """The state of the running service. None if no service is running, or if its state can't be read."""
         return self.service[0]
 
     @property
     def pid(self) -> str:
-        """The pid of the running service's supervisor, as a name in /proc. `self` if no service runs, because this user
-        would start it."""
+        """The pid of the running service's supervisor, as a name in /proc. `self` if no service is running, because
+        this user would start it."""
         return str(self.state.processes[layout.SUPERVISOR].pid) if self.state else "self"
 
     @cached_property
     def unit(self) -> dict[str, str]:
-        """Properties of the service's unit; none: systemd has no such unit, or does not run."""
+        """The properties of the service's systemd unit. Empty if systemd has no such unit, or is not running."""
         said = self.system.said("systemctl", "show", unit_of(self.name), "--property", PROPERTIES)
         found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
         return found if found.get("LoadState") == "loaded" else {}
 
     @cached_property
     def device(self) -> tuple[str, str]:
-        """The board's port, and who says so."""
+        """The path of the board's port, and where this path comes from."""
         if self.device_path:
             return self.device_path, "--device"
         if self.state:
@@ -135,12 +139,12 @@ class Look:
 
     @cached_property
     def node(self) -> Node | None:
-        """The device's file; None: there is no character device."""
+        """The device file of the port. None if the path is no character device."""
         return self.system.node(self.device[0])
 
     @cached_property
     def usb_id(self) -> str:
-        """vendor:product of the device in hexadecimal; empty: it is nothing on USB."""
+        """vendor:product of the port's USB device, in hexadecimal. Empty if it is not a USB device."""
         return f"{self._usb.vendor}:{self._usb.product}" if self._usb else ""
 
     @cached_property
@@ -155,15 +159,16 @@ class Look:
 
     @cached_property
     def twins(self) -> bool:
-        """True if one of them has the same serial number too, or none as the device."""
+        """True if another serial port has the same vendor, product and serial number, or if neither has a serial
+        number."""
         return look_alikes(self._usb, self.system.path("/sys"))[1]
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:
-        """The processes that have the device open, and how many could not be looked into."""
+        """The processes that have the port open, and how many processes could not be checked."""
         return self.system.holders(self.node.resolved) if self.node else ((), 0)
 
     def again(self) -> str:
-        """The words after `failstop` that ask the same once more."""
+        """The words after `failstop` that repeat this check."""
         device = f" --device {shlex.quote(self.device_path)}" if self.device_path else ""
         return f"doctor{option(self.name)}{device}"

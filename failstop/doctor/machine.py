@@ -1,4 +1,5 @@
-"""The checks of the machine: rights, news of deaths, shared memory, processor, and how late a process is woken."""
+"""The checks of the computer: real-time rights, how soon a death is reported, shared memory, the processor, and how
+late a process is woken."""
 
 from __future__ import annotations
 
@@ -16,13 +17,13 @@ from failstop.version import VERSION
 
 SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 LATE_US = 5_000.0
-"""A tick later than this shows in the stop times."""
+"""If a process is woken later than this, us, stops take noticeably longer."""
 PROCESSORS = "/sys/devices/system/cpu"
 STARVED = "look what else has real-time priority (`ps -eo pid,rtprio,comm`); in a virtual machine, look at its host"
 
 
 def facts() -> dict[str, Any]:
-    """This package's version, the date, and the machine's Python, kernel, architecture and number of cores."""
+    """The version of failstop, the date, and the computer's Python, kernel, architecture and number of cores."""
     return {
         "version": VERSION,
         "date": time.strftime("%Y-%m-%d"),
@@ -34,7 +35,8 @@ def facts() -> dict[str, Any]:
 
 
 def rights(look: Look) -> list[Finding]:
-    """Real-time priority and locked memory: of the running service, else of a process of this user."""
+    """Check real-time priority and locked memory. This looks at the running service, or at a process of this user if no
+    service is running."""
     told = price = ""
     if look.state:
         starved = look.state.starved
@@ -55,7 +57,7 @@ def rights(look: Look) -> list[Finding]:
 
 
 def _grant(look: Look) -> tuple[str, str]:
-    """The command that gives the service its rights, and what is to be done besides."""
+    """How to give the service its rights. Returns (a command, what else to do)."""
     managed = look.unit.get("MainPID") == look.pid
     lacks = not look.state or not all(row.realtime for row in look.state.processes.values())
     unit = unit_of(look.name) if look.state and managed else ""
@@ -68,7 +70,7 @@ def _grant(look: Look) -> tuple[str, str]:
 
 
 def early_news(look: Look) -> list[Finding]:
-    """How soon the kernel reports a death."""
+    """Check whether the kernel reports a process's death before it frees the process's memory."""
     if look.system.early_news():
         return ok("the kernel reports a death before it frees the process's memory")
     text = (
@@ -79,7 +81,7 @@ def early_news(look: Look) -> list[Finding]:
 
 
 def shared_memory(look: Look) -> list[Finding]:
-    """/dev/shm has room."""
+    """Check whether /dev/shm has room for the service's shared memory."""
     needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.room(SHM)
     if free is None:
         fix = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
@@ -95,7 +97,7 @@ def shared_memory(look: Look) -> list[Finding]:
 
 
 def processor(look: Look) -> list[Finding]:
-    """Frequency scaling."""
+    """Check how the processor's frequency is scaled."""
     files = [f"{PROCESSORS}/{core}/cpufreq/scaling_governor" for core in look.system.names(PROCESSORS)]
     governors = sorted({governor for path in files if (governor := look.system.read(path))})
     if slow := [governor for governor in governors if governor in SLOW_GOVERNORS]:
@@ -107,7 +109,7 @@ def processor(look: Look) -> list[Finding]:
 
 
 def ticks(look: Look) -> list[Finding]:
-    """How late a process is woken: what the lease can bear, and what is good."""
+    """Measure how late this process is woken. The delay must leave the gate enough time within its lease."""
     again = f"failstop {look.again()}"
     if look.quick:
         return skip("not measured (--quick)", again)
@@ -120,7 +122,7 @@ def ticks(look: Look) -> list[Finding]:
     lease_s = found[status.LEASE]
     if look.state:
         lease_s = look.state.lease_s
-    elif not realtime and lease_s == status.LEASE_S:  # a start from here would take it
+    elif not realtime and lease_s == status.LEASE_S:  # a service started from here would use the longer lease
         lease_s = status.lease_without_rights(found)
     spare_us = (lease_s - found["gate.period_s"]) * 1e6
     if worst_us >= spare_us:

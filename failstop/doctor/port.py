@@ -1,4 +1,4 @@
-"""The checks of the port: the device's file, what is behind it, who may open it, who has it open."""
+"""The checks of the port: whether it exists, what is connected to it, who may open it, and who has it open."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from failstop.policy.layouts import BOARDS
 RULE = ("", "the Debian package has a udev rule for this (docs/install.md; without dpkg: docs/service.md)")
 BRLTTY = "brltty"
 LINK = "/dev/failstop"
-"""The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
+"""The board's name from the udev rule of the Debian package. This name stays the same when the board is plugged in
+again, while the port's number may change."""
 BY_ID = "/dev/serial/by-id/"
 NUMBERED = ("/dev/ttyACM", "/dev/ttyUSB")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 NO_DESCRIPTION = "n/a"
-"""pyserial's description of a port without one: the PC's own, used or not."""
+"""pyserial's description of a port that has none. It is a built-in port of a PC, which may be unused."""
 GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
-"""As /proc names what a process has open and an unplug has removed."""
+"""How /proc shows an open port that was unplugged meanwhile."""
 
 
 def present(look: Look) -> list[Finding]:
-    """The device's file is there."""
+    """Check whether the port exists, and whether its name is certain to mean the board."""
     node, (device, origin) = look.node, look.device
     if node is None and os.path.exists(device):
         return fail(f"{device} is not a serial port", *SERIAL_BY_NAME)
@@ -61,7 +62,7 @@ def present(look: Look) -> list[Finding]:
 
 
 def taken(system: System) -> list[Finding]:
-    """A board's chip that is plugged in and has no serial port, because something else has taken it."""
+    """Check for a board that is plugged in but has no serial port, because another program or driver has taken it."""
     chips = {**{usb: "a board's own port" for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}, **ADAPTERS}
     for usb in system.portless(chips):
         what = f"USB {usb} ({chips[usb]}) is plugged in but has no serial port"
@@ -75,12 +76,12 @@ def taken(system: System) -> list[Finding]:
 
 
 def _running(system: System) -> set[str | None]:
-    """The names of all processes."""
+    """The names of all running processes."""
     return {system.read(f"/proc/{pid}/comm") for pid in system.names("/proc")}
 
 
 def identity(look: Look) -> list[Finding]:
-    """The board is behind it."""
+    """Check whether the device at the port can be the board, by its USB id."""
     node, usb, kind, board = look.node, look.usb_id, look.kind, look.board
     if node is None:
         return []
@@ -107,7 +108,8 @@ def identity(look: Look) -> list[Finding]:
 
 
 def permission(look: Look) -> list[Finding]:
-    """This user may open it, unless a service has it: that one says itself what it waits for."""
+    """Check whether this user may open the port. If a service is running it needs no check, because the service reports
+    what it waits for."""
     node, who = look.node, look.system.owner("/proc/self")
     if node is None:
         return []
@@ -116,14 +118,14 @@ def permission(look: Look) -> list[Finding]:
     if node.accessible:
         return ok(f"{who} may open it")
     text = f"user {who} may not open {node.path}, which belongs to the group {node.group}"
-    # Root's group gives more than a port.
+    # Membership in root's group would give the user far more than this port.
     if node.group == "root":
         return fail(text, *RULE)
     return fail(text, f"sudo usermod -aG {node.group} {who}", "then log out and in again")
 
 
 def held(look: Look) -> list[Finding]:
-    """Nobody but the service has it open."""
+    """Check whether another program has the port open."""
     found = []
     for pid, paths in look.system.open_files():
         for gone in filter(None, map(GONE.fullmatch, sorted(paths or ()))):
@@ -134,7 +136,7 @@ def held(look: Look) -> list[Finding]:
         return found
     holders, unseen = look.holders
     ours = {row.pid for row in look.state.processes.values()} if look.state else set()
-    # A login has a row of its own (console), with a command that ends it for good.
+    # A login has its own check (console), which shows the command that ends it for good.
     others = [holder for holder in holders if holder.pid not in ours and not holder.is_login]
     for name in dict.fromkeys(holder.instance for holder in others if holder.instance):
         text = f"the service {name!r} has the port open, and two services can't share a board"
@@ -152,11 +154,12 @@ def held(look: Look) -> list[Finding]:
 
 
 def talkers(system: System, path: str) -> list[Finding]:
-    """A login or the kernel's own messages on this port. Both write to the board, and a login takes its answers."""
+    """Check whether a login or the kernel's own messages use this port. Both write to the board, and a login also reads
+    its answers."""
     name, real = os.path.basename(path), os.path.basename(os.path.realpath(path))
     words = (system.read("/proc/cmdline") or "").split()
     found: list[Finding] = []
-    # The baud rate may follow, behind a comma.
+    # The baud rate may follow after a comma.
     if any(word.partition(",")[0] in (f"console={name}", f"console={real}") for word in words):
         advice = "or remove that console= from cmdline.txt; then reboot"
         found += fail(f"the kernel writes its messages to {path}", "sudo raspi-config nonint do_serial_cons 1", advice)
@@ -171,14 +174,14 @@ def talkers(system: System, path: str) -> list[Finding]:
 
 
 def console(look: Look) -> list[Finding]:
-    """Neither a login nor the kernel uses the port."""
+    """Check whether a login or the kernel uses the board's port."""
     if look.node is None or look.node.pseudo:
         return []
     return talkers(look.system, look.node.path) or ok("no login waits on it, and the kernel writes no messages to it")
 
 
 def commanders(look: Look) -> list[Finding]:
-    """Nobody but failstop commands the board's wheels."""
+    """Check whether anything but failstop could drive this board."""
     found = [row for one in look.board.commanders if not one.program for row in warn(one.who, "", one.remedy)]
     for holder in look.system.every():
         if known := _known(look, holder):
@@ -187,13 +190,13 @@ def commanders(look: Look) -> list[Finding]:
 
 
 def _known(look: Look, holder: Holder) -> Commander | None:
-    """The program of the board's own description that this process runs."""
+    """The entry of the board's description for the program that this process runs. None if there is no entry."""
     programs = (one for one in look.board.commanders if one.program)
     return next((one for one in programs if one.program in holder.command), None)
 
 
 def grabbers(look: Look) -> list[Finding]:
-    """No program that opens serial ports by itself is near."""
+    """Check whether a program is running that opens serial ports by itself, such as ModemManager."""
     found = []
     names = _running(look.system)
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)

@@ -1,4 +1,5 @@
-"""The checks of the service: what runs, of which version, by which settings, and what systemd and logind are told."""
+"""The checks of the service: whether it runs, its version and its settings, its clients, and the settings of systemd
+and logind."""
 
 from __future__ import annotations
 
@@ -16,21 +17,21 @@ from failstop.policy import scale, servos
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
-"""logind spares system users (below this, as Debian and Ubuntu count)."""
+"""logind's RemoveIPC does not touch system users, whose uids are below this in Debian and Ubuntu."""
 LOGIND = "/etc/systemd/logind.conf.d"
 OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
-"""The user of the service's unit."""
+"""The user of the service's systemd unit."""
 EACH_RUN_S = ("gate.lease_s", "device.path")
 MOST_NAMED = 4
-"""Settings that one row names."""
+"""How many settings one finding names."""
 ALONE = "nothing else on this robot measures its speed, so failstop can't notice if board.per_rps is wrong"
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
-"""Where logind says whether it does."""
+"""Where logind's RemoveIPC can be read over D-Bus."""
 
 
 def settings(look: Look) -> list[Finding]:
-    """The settings that a start would read, and whether the service that runs has others."""
+    """Check the settings file, and whether the running service uses other settings than those in it."""
     path, _, problem = look.settings
     if problem:
         text = f"{problem}; the service won't start until this is fixed"
@@ -47,8 +48,8 @@ def settings(look: Look) -> list[Finding]:
 
 
 def _others(look: Look) -> list[str]:
-    """The settings of the service that runs which a start would not give it. A lease may follow from its rights, and a
-    port from an option."""
+    """The settings in which the running service differs from the file. A lease may follow from the service's rights,
+    and the port from an option, so these two are not compared."""
     found = look.settings[1].flat()
     return [
         key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value
@@ -56,7 +57,7 @@ def _others(look: Look) -> list[str]:
 
 
 def running(look: Look) -> list[Finding]:
-    """The service of this name."""
+    """Check the service of this name: whether it runs, and whether it reaches the board."""
     state, version, problem = look.service
     if problem:
         fix = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("ActiveState") == "active" else ""
@@ -106,7 +107,7 @@ def _not_running(look: Look) -> list[Finding]:
 
 
 def wheels_scale(look: Look) -> list[Finding]:
-    """Whether the wheels turn as fast as they are told."""
+    """Check whether the wheels turn as fast as commanded."""
     fix = f"failstop setup{option(look.name)}"
     if look.state is None:
         if isinstance(look.board, Unknown):
@@ -126,14 +127,14 @@ def wheels_scale(look: Look) -> list[Finding]:
     if said:
         return ok(f"they turn {', and '.join(said)}")
     if isinstance(look.board, Unknown):
-        return []  # the check of the board says why
+        return []  # the check of the board reports this
     independent = look.board.reports.own_scale or look.active_settings.on("board.imu")
     way = "drive" if look.board.reports.own_scale else "curve"
     return ok(f"not compared yet; the next {way} will show it" if independent else ALONE)
 
 
 def clients(look: Look) -> list[Finding]:
-    """Remarks of clients on themselves."""
+    """Show what clients report about themselves."""
     found = []
     for who, sees, wrong in words.said(look.state) if look.state else ():
         found += warn(f"{who}: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")
@@ -141,7 +142,7 @@ def clients(look: Look) -> list[Finding]:
 
 
 def unit(look: Look) -> list[Finding]:
-    """Its systemd unit."""
+    """Check the service's systemd unit."""
     name, found = unit_of(look.name), look.unit
     if not found:
         text = f"systemd has no unit {name}, so nothing starts the service at boot or after a crash"
@@ -160,7 +161,8 @@ def unit(look: Look) -> list[Finding]:
 
 
 def state_directory(look: Look) -> list[Finding]:
-    """The folder of what outlives a run: incidents, the battery's log, the page's keys."""
+    """Check whether the service can write to its state directory, which keeps incidents, the battery's log and the
+    page's keys."""
     system, process = look.system, f"/proc/{look.pid}"
     by_unit = look.unit and (not look.state or look.unit.get("MainPID") == look.pid)
     environ = {"STATE_DIRECTORY": f"{root.SYSTEM_BASE}/{look.name}"} if by_unit else system.environ(look.pid)
@@ -176,7 +178,7 @@ def state_directory(look: Look) -> list[Finding]:
     if by_unit:
         if there != path:
             return ok(f"{path} does not exist yet: systemd makes it when the service starts")
-        # The unit's own user: one that does not run yet has no process to ask.
+        # The service is not running, so there is no process to ask. Use the unit's user.
         uid = system.account(UNIT_USER) if not look.state else uid
     if not system.writable(there, uid):
         text = f"the service's user can't write to {there}, so incidents can't be saved"
@@ -189,7 +191,7 @@ def state_directory(look: Look) -> list[Finding]:
 
 
 def remove_ipc(look: Look) -> list[Finding]:
-    """logind deletes the shared memory of a regular user who logs out."""
+    """Check whether logind would delete the service's shared memory when its user logs out."""
     process = f"/proc/{look.pid}"
     # A service that systemd would start runs as a system user.
     if look.system.uid(process) < FIRST_REGULAR_UID or (look.unit and not look.state):

@@ -1,8 +1,11 @@
-"""The checks of what is on the port: which board it is, and the stop path, a burst and the board's answer behind it.
+"""The checks of the board and the stop path: which board is connected to the port, and whether a stop reaches it.
 
-Without a service the port is opened here, once, since opening resets some boards; it is asked by questions that move
-nothing, and written to as supervisor, stopper and stop tool each do it. With one, nobody else may write: the service
-knows whether the board has answered. What only a death brings about is the matter of `failstop prove`.
+If no service is running, the port is opened here. It is opened only once, because opening resets some boards. The board
+is asked questions that move nothing. Then a stop is written in the three ways in which the supervisor, the stopper and
+the stop tool write it.
+
+If a service is running, nobody else may write to the port, so the service's knowledge is shown instead. What happens
+only when a process dies is tested by `failstop prove`.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ UNANSWERED = "written; this board never acknowledges a stop"
 
 
 def board(look: Look) -> list[Finding]:
-    """The board that the settings name answers, and no other."""
+    """Check whether the board at the port is the one that the settings name."""
     if isinstance(look.board, asking.Unknown):
         path = look.settings[0]
         fix, advice = (f"failstop config --check {path}", "") if path else ("", "fix it before the next start")
@@ -44,14 +47,14 @@ def board(look: Look) -> list[Finding]:
 
 
 def stop_path(look: Look) -> list[Finding]:
-    """The self-test where it is safe, else why it was left out."""
+    """Test whether a stop reaches the board. If this is not safe, say why it was not tested."""
     if look.state:
         return of_service(look.name, look.state)
     return _left_alone(look) or _tried(look)[1]
 
 
 def _left_alone(look: Look) -> list[Finding]:
-    """Why the port must not be opened; nothing: it may be."""
+    """Why the port must not be opened for a test. Empty if it may be opened."""
     node, (holders, _) = look.node, look.holders
     if look.service[-1]:
         why = "the running service can't be asked"
@@ -77,7 +80,7 @@ def _left_alone(look: Look) -> list[Finding]:
 
 
 def _known_by_the_service(look: Look, state: State) -> list[Finding]:
-    """The board as the service hears it."""
+    """What the running service knows about the board."""
     age_s, now = state.ages.board_s, state.is_current(state.ages.battery_s)
     battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v and now else ""
     if state.device.state != "open" or state.device.link in (LINK_DEAF, LINK_SILENT):
@@ -117,7 +120,7 @@ def of_service(name: str, state: State) -> list[Finding]:
 
 
 def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
-    """Findings on the board, and on the stop path: the port is opened once for both."""
+    """Findings about the board, and about the stop path. The port is opened once for both."""
     if look.tried is None:
         others = {kind: board_of(kind, 1.0, 0.0) for kind in BOARDS if kind != look.kind}
         look.tried = by_hand(look.device[0], {look.kind: look.board} | others, f"failstop {look.again()}")
@@ -125,8 +128,9 @@ def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
 
 
 def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Finding], list[Finding]]:
-    """Findings on the board, and on each writer's way to it, ended by one that is not answered. Nobody else may have
-    the port open. The first of the boards is the one that the settings name. `again`: the command to repeat it."""
+    """Test the board at this port without a service. Returns findings about the board, and a finding for each way to
+    write a stop, up to the first that fails. No other process may have the port open. The first of `boards` is the one
+    that the settings name. `again`: the command that repeats the test."""
     kind, board = next(iter(boards.items()))
     told: list[Finding] = []
     found: list[Finding] = []
@@ -159,7 +163,7 @@ def _on_duplicate(own: OwnPort, _: str) -> None:
 
 
 def _with_tool(own: OwnPort, path: str) -> None:
-    # It opens the port as ExecStopPost does, when the service has let it go.
+    # The tool opens the port itself, as in ExecStopPost after the service has closed it.
     release_exclusive(own.fd)
     stop_tool.write(path, own.board)
 
@@ -169,11 +173,13 @@ WRITERS: dict[str, Callable[[OwnPort, str], None]] = {
     "stopper's duplicate": _on_duplicate,
     "stop tool": _with_tool,
 }
-"""The writers of a stop, and how; by the time of the first it is written."""
+"""The ways to write a stop, each with its function. The first has no function of its own, because opening the port has
+already written that stop."""
 
 
 def judged(writer: str, board: Board, answered_ms: float | None, again: str) -> list[Finding]:
-    """One writer's burst, by the board's answer to a ping behind it, or its echo."""
+    """The finding about one way to write a stop, from the board's answer to a ping that followed the stop, or from its
+    report that it obeys."""
     if not (board.pings or board.echo_ns):
         return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:

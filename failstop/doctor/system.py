@@ -1,6 +1,7 @@
-"""The machine that doctor looks at: its files under a root of one's choice, accounts, devices, processes and kernel.
+"""The computer as the doctor sees it: files, accounts, devices, processes and the kernel. Tests can use another root
+folder.
 
-What is not there or not allowed is None or empty, never an error. A test has one of its own.
+If something does not exist or may not be read, the result is None or empty, never an error.
 """
 
 from __future__ import annotations
@@ -31,28 +32,28 @@ from failstop.supervisor import refused, status
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
-"""Major numbers of pseudo-terminals (the kernel's list of devices)."""
+"""The major device numbers of pseudo-terminals (from the kernel's list of devices)."""
 LOGINS = ("agetty", "getty", "mgetty", "login")
 T = TypeVar("T")
 TICKS_S = 5.0
 PERIOD_S = 0.005
-"""Four moments for each of the gate's ticks."""
+"""The time between two wake-ups, s. There are four for each tick of the gate."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """A device's file."""
+    """A device file."""
 
     path: str
     resolved: str
-    """The path behind all links."""
+    """The path after following all links."""
     pseudo: bool
-    """A pseudo-terminal, as the simulated board's."""
+    """True for a pseudo-terminal, for example of the simulated board."""
     group: str
     modem_ignored: bool = False
-    """udev tells ModemManager to leave it alone."""
+    """True if a udev rule tells ModemManager to leave the device alone."""
     accessible: bool = False
-    """This process may read and write it."""
+    """True if this process may read and write the device."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,15 +63,16 @@ class Holder:
     pid: int
     name: str
     unit: str = ""
-    """Its systemd service, if it is in one."""
+    """The systemd service that the process belongs to. Empty if there is none."""
     instance: str = ""
-    """The service that it belongs to, if it is one of failstop's processes."""
+    """The name of the failstop service that the process belongs to. Empty if it is no process of failstop."""
     command: str = dataclasses.field(default="", compare=False)
-    """Its command line."""
+    """The command line of the process."""
     by_user: bool = dataclasses.field(default=False, compare=False)
-    """The unit is one of the user's own service manager."""
+    """True if `unit` belongs to the user's own service manager."""
     supervisor: int = dataclasses.field(default=0, compare=False)
-    """Pid of the supervisor, for a process of failstop. Any other of its processes is started again when it ends."""
+    """The pid of the supervisor, if the process belongs to a failstop service. To end the service, end its supervisor,
+    because the supervisor restarts its other processes."""
 
     def __str__(self) -> str:
         name = f"the service {self.instance!r}" if self.instance else self.name
@@ -78,23 +80,23 @@ class Holder:
 
     @property
     def is_login(self) -> bool:
-        """It asks for a name and a password, or has asked."""
+        """True if the process asks people for a name and a password, or has asked."""
         return self.name in LOGINS
 
     @property
     def files(self) -> set[str]:
-        """The names of the files and devices in its command line, without their folders."""
+        """The names of the files and devices in the command line, without their folders."""
         return {os.path.basename(word) for word in self.command.split()}
 
     def end(self) -> str:
-        """The command that ends it, and for a process of failstop the whole service."""
+        """The command that ends this process. For a process of failstop, it ends the whole service."""
         if self.unit:
             return f"systemctl --user stop {self.unit}" if self.by_user else f"sudo systemctl stop {self.unit}"
         return f"sudo kill {self.supervisor or self.pid}"
 
 
 def _tried(look: Callable[[], T]) -> T | None:
-    """A look at the system; None: it is not there, or not allowed."""
+    """The result of `look`, or None if it raises OSError."""
     try:
         return look()
     except OSError:
@@ -102,22 +104,22 @@ def _tried(look: Callable[[], T]) -> T | None:
 
 
 class System:
-    """Reads below `root`."""
+    """The computer whose files are below `root`."""
 
     early_news = staticmethod(futex.proven)
-    """The kernel tells of a death before it takes the memory down."""
+    """True if the kernel reports a death before it frees the process's memory."""
     services = staticmethod(instances.listening)
-    """The names of the services that take stop requests."""
+    """The names of the services that accept stop requests."""
     contained = staticmethod(status.in_container)
-    """This process runs in a container."""
+    """True if this process runs in a container."""
 
     def __init__(self, root: str = "/") -> None:
         self.root = root
 
     def ports(self, own: Collection[str]) -> list[tuple[str, str]]:
-        """(path, description) of each serial device: those with one of these identities, vendor:product, first, then
-        other USB devices, then the rest."""
-        from serial.tools import list_ports  # listing is slow, and the stop tool has this module too
+        """(path, description) of each serial port. Ports whose vendor:product is in `own` come first, then other USB
+        devices, then the rest."""
+        from serial.tools import list_ports  # import it only here: it is slow, and the stop tool imports this module too
 
         found = []
         for port in list_ports.comports():
@@ -128,7 +130,7 @@ class System:
         return [(path, what) for _, _, path, what in sorted(found)]
 
     def portless(self, chips: Collection[str]) -> list[str]:
-        """The identities, of these, of the USB devices that have no serial port."""
+        """Those of `chips` (vendor:product) that are plugged in but have no serial port."""
         folder = self.path("/sys/bus/usb/devices")
         ports = [os.path.realpath(self.path(f"/sys/class/tty/{name}/device")) for name in self.names("/sys/class/tty")]
         found = []
@@ -140,11 +142,11 @@ class System:
         return sorted(found)
 
     def path(self, path: str) -> str:
-        """Where an absolute path of the system is."""
+        """Where a path of the system is below `root`."""
         return os.path.join(self.root, path.lstrip("/"))
 
     def read(self, path: str) -> str | None:
-        """A file's text without the white space around it."""
+        """A file's text, without white space around it."""
         return _tried(lambda: Path(self.path(path)).read_text("utf-8", "replace").strip())
 
     def names(self, path: str) -> list[str]:
@@ -152,27 +154,28 @@ class System:
         return _tried(lambda: sorted(os.listdir(self.path(path)))) or []
 
     def uid(self, path: str) -> int:
-        """The uid of the path's owner; -1 if the path does not exist."""
+        """The uid of the path's owner. -1 if the path does not exist."""
         return found.st_uid if (found := _tried(lambda: os.stat(self.path(path)))) else -1
 
     def owner(self, path: str) -> str:
-        """The name of whom a path belongs to, the number of one without an account; empty when it is not there."""
+        """The name of the path's owner, or the owner's number if there is no account. Empty if the path does not
+        exist."""
         try:
             return pwd.getpwuid(uid).pw_name if (uid := self.uid(path)) >= 0 else ""
         except KeyError:
             return str(uid)
 
     def room(self, path: str) -> int | None:
-        """How many bytes may be put into a directory; None: none, or this process may not."""
+        """How many bytes fit into a directory. None if it does not exist, or if this process may not write to it."""
         there = os.access(self.path(path), os.W_OK | os.X_OK)
         return _tried(lambda: shutil.disk_usage(self.path(path)).free) if there else None
 
     def no_room(self, path: str) -> str:
-        """Why no file fits on the disk of this path; empty: one does."""
+        """Why no file fits on the disk of this path. Empty if there is room."""
         return durable.no_room(self.path(path))
 
     def writable(self, path: str, uid: int) -> bool:
-        """Whether a user may put files into a directory, by its owner, its groups and its mode."""
+        """True if a user may put files into a directory."""
         found = _tried(lambda: os.stat(self.path(path)))
         if not found or not stat.S_ISDIR(found.st_mode):
             return False
@@ -186,27 +189,27 @@ class System:
         return not uid or found.st_mode >> shift & 0o3 == 0o3
 
     def account(self, name: str) -> int:
-        """The number of a user; -1: there is no such user."""
+        """The uid of the user with this name. -1 if there is none."""
         try:
             return pwd.getpwnam(name).pw_uid
         except KeyError:
             return -1
 
     def environ(self, pid: str) -> dict[str, str] | None:
-        """The environment that a process was started with; None: it is hidden from this user."""
+        """The environment with which a process was started. None if this user may not see it."""
         data = _tried(lambda: Path(self.path(f"/proc/{pid}/environ")).read_bytes())
         words = None if data is None else os.fsdecode(data).split("\0")
         return None if words is None else dict(word.split("=", 1) for word in words if "=" in word)
 
     def node(self, path: str) -> Node | None:
-        """A device's file; None when there is no character device."""
+        """The device file at this path. None if it is no character device."""
         found = _tried(lambda: os.stat(path))
         if not (found and stat.S_ISCHR(found.st_mode)):
             return None
         group = str(found.st_gid)
         with contextlib.suppress(KeyError):
             group = grp.getgrgid(found.st_gid).gr_name
-        # As failstop's rule for udev has it, which ModemManager reads.
+        # failstop's udev rule sets this property, and ModemManager reads it.
         told = self.read(f"/run/udev/data/c{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}") or ""
         return Node(
             path,
@@ -218,7 +221,7 @@ class System:
         )
 
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
-        """The paths of what each other process has open; None where that is hidden from this user."""
+        """(pid, paths of open files) for each other process. The paths are None if this user may not see them."""
         for pid in (int(name) for name in self.names("/proc") if name.isdigit()):
             found = set()
             try:
@@ -233,10 +236,10 @@ class System:
                 yield pid, found
 
     def holder(self, pid: int) -> Holder:
-        """A process, as one that has a device open."""
+        """A process as a Holder, with its name, command line, unit and service."""
         groups = re.split(r"[/\n]", self.read(f"/proc/{pid}/cgroup") or "")
         units = [part for part in groups if part.endswith(".service")]
-        # user@1000.service is everything that this user has started: to stop it would end their whole session.
+        # user@1000.service contains everything that this user has started. Stopping it would end the whole session.
         managers = [unit for unit in units if unit.startswith("user@")]
         unit = units[-1] if units and units[-1] not in managers else ""
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
@@ -250,22 +253,23 @@ class System:
         )
 
     def every(self) -> Iterator[Holder]:
-        """Every process."""
+        """All processes."""
         return (self.holder(int(pid)) for pid in self.names("/proc") if pid.isdigit())
 
     def service(self, name: str) -> Holder | None:
-        """The supervisor of a service of this name; None where none is running, or it is another user's."""
+        """The supervisor of the service with this name. None if no such service is running, or if it is another
+        user's."""
         pids = (instances.holder(path) for path in files_instance.places(name))
         return next((self.holder(int(pid)) for pid in pids if pid.isdecimal()), None)
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
-        """The processes that have a device open, and how many could not be looked into."""
+        """The processes that have a device open, and how many processes could not be checked."""
         opened, resolved = list(self.open_files()), os.path.realpath(path)
         found = tuple(self.holder(pid) for pid, paths in opened if paths and resolved in paths)
         return found, sum(paths is None for _, paths in opened)
 
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
-        """The output of a command; None when it failed or did not answer."""
+        """The output of a command. None if the command failed or took too long."""
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=timeout_s, check=False)
         except (OSError, subprocess.TimeoutExpired):
@@ -273,21 +277,23 @@ class System:
         return done.stdout if done.returncode == 0 else None
 
     def realtime(self, priority: int = 1) -> AbstractContextManager[bool]:
-        """Whether this process gets real-time priority; it has it within."""
+        """A context in which this process has real-time priority, if it may have it. Yields True if it has."""
         return rights.realtime(priority)
 
     def refused(self, pid: str, unit: str) -> str:
-        """Why a process is refused real-time priority that its limits allow, and what helps; empty: they don't."""
+        """Why a process can't have real-time priority although its limits allow it, and what helps. Empty if nothing
+        keeps it from that."""
         return refused.advice_if_allowed(pid, unit=unit, container=self.contained())
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
-        """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""
+        """Measure how late this process is woken, each time, ns. Returns (True if it had the gate's priority, the
+        delays)."""
         with self.realtime(PROCESS_BY_NAME["gate"].priority) as granted:
             return granted, late_ns(seconds)
 
 
 def late_ns(seconds: float) -> list[int]:
-    """Each time; moments that were missed altogether are left out, as the gate does."""
+    """How late each wake-up was, ns. If a wake-up is missed completely, it is left out, as the gate does."""
     period_ns = round(PERIOD_S * 1e9)
     due_ns = time.monotonic_ns() + period_ns
     end_ns = due_ns + round(seconds * 1e9)

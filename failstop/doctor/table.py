@@ -1,4 +1,4 @@
-"""The table of checks: each a name, and a function that looks and judges."""
+"""The table of all checks. Each has a name and a function."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ Check = Callable[[Look], list[Finding]]
 
 
 def _of(home: str) -> Check:
-    """The check that lies in the room of what it is for, found by its name when it is asked for."""
+    """A check that is defined in the package that it is about, as failstop.HOME.check. It is imported only when it is
+    used."""
     return lambda look: list(import_module(f"failstop.{home}").check(look))
 
 
@@ -42,11 +43,11 @@ CHECKS: dict[str, Check] = {
     "board": stop_path.board,
     "stop path": stop_path.stop_path,
 }
-"""A check may find nothing, one thing, or several."""
+"""All checks in the order in which they run. A check may return no finding, one, or several."""
 
 
 def examine(look: Look) -> list[tuple[str, Finding]]:
-    """Every finding with its check's name, the most serious first, those of one level in the table's order. All but the
-    two self-tests takes less than two seconds."""
+    """Run all checks. Returns (name of the check, finding), the most serious first, and otherwise in the table's order.
+    Everything except the two self-tests takes less than two seconds."""
     found = [(name, finding) for name, check in CHECKS.items() for finding in check(look)]
     return sorted(found, key=lambda row: -LEVELS.index(row[1].level))

@@ -18,8 +18,8 @@ LOST = "LOST"
 ENDED = "OFFLINE"
 OTHER = "other"
 ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
-"""The widest cells of a table, in columns. Otherwise anyone who may publish on the broker could send texts that push
-everything else off the screen."""
+"""The widest cells of the table, in columns: the robot's name, its word, and the reason. Anyone who may publish on the
+broker could send a long text, which must not push everything else off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
 """How old the state of a connected robot may be, s, until it is shown as old. A robot publishes a new state at least

@@ -1,1 +1,2 @@
-"""Incidents: what the black box held around a stop, saved as one file, and what people make of it."""
+"""Incidents: saves the black box around a stop as a file, and shows the file to people as a story, a plot or an
+export."""

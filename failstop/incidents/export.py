@@ -1,4 +1,4 @@
-"""Export: an incident as MCAP with ROS 2 messages, for Foxglove, PlotJuggler, rosbag2."""
+"""Export: writes an incident as an MCAP file with ROS 2 messages. Foxglove, PlotJuggler and rosbag2 can open it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,15 @@ TOPICS = {
     "imu": "sensor_msgs/Imu",
     "events": "rcl_interfaces/Log",
 }
-"""Below /failstop: the newest command of each tick in which one came; what the gate made of it, each tick; each motor
-frame and stop burst written (rad/s), and the speeds that the board reports; IMU; what people were told, and the
-cause."""
+"""The topics below /failstop, each with its message type.
+
+- command: the newest command, for each tick of the gate in which a command arrived
+- gated: the velocity that the gate decided, for each tick
+- wheels: the wheel speeds of each motor frame and stop burst that was written (rad/s)
+- measured: the wheel speeds that the board reported (rad/s)
+- imu: the samples of the IMU
+- events: the logged events, and the cause of the stop
+"""
 FIELDS = {
     "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
@@ -43,15 +49,15 @@ FIELDS = {
     "rcl_interfaces/Log": "byte DEBUG=10; byte INFO=20; byte WARN=30; byte ERROR=40; byte FATAL=50; "
     "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; string function; uint32 line",
 }
-"""The messages' own fields."""
+"""The fields of each message type."""
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
 
 Message = tuple[int, str, dict[str, Any]]
-"""When (CLOCK_MONOTONIC ns), topic, and of its value what is not the header, nor zero."""
+"""(time in CLOCK_MONOTONIC ns, topic, fields). The header, and fields that are zero, are left out."""
 
 
 def save(incident: Incident, path: str) -> int:
-    """Write the file whole or not at all; returns how many messages are in it. Raises IncidentError."""
+    """Write an incident to `path`, completely or not at all. Returns the number of messages. Raises IncidentError."""
     try:
         from mcap_ros2.writer import Writer
     except ImportError:
@@ -75,10 +81,10 @@ def save(incident: Incident, path: str) -> int:
 
 
 def definition(name: str) -> str:
-    """The whole definition of a message: its own fields and then, after a line of equals signs, those of every message
-    within it (the MCAP specification's `ros2msg` schema encoding)."""
+    """The complete definition of a message type, in the format `ros2msg` of the MCAP specification. It begins with the
+    type's own fields. The types of nested messages follow, each after a line of equals signs."""
     parts = [name]
-    for part in parts:  # those that are found are looked through, too
+    for part in parts:  # the loop also visits the parts that it adds
         kinds = (field.split()[0].removesuffix("[]") for field in FIELDS[part].split("; "))
         parts += [kind for kind in dict.fromkeys(kinds) if kind in FIELDS and kind not in parts]
     texts = (f"MSG: {part}\n" * (part != name) + FIELDS[part].replace("; ", "\n") + "\n" for part in parts)
@@ -100,7 +106,7 @@ def _motion(incident: Incident) -> Iterator[Message]:
 
 def _board(incident: Incident) -> Iterator[Message]:
     fixed = {
-        # No orientation.
+        # -1 means that there is no orientation.
         "orientation_covariance": [-1.0, *[0.0] * 8],
         "angular_velocity_covariance": [RATE_VARIANCE if index in (0, 4, 8) else 0.0 for index in range(9)],
         "linear_acceleration_covariance": [0.0] * 9,

@@ -1,14 +1,14 @@
-"""The files of incidents: where they are, in which order, how many are kept, which one a person means; each is written
-whole or not at all, never over another, and damage is reported when it is read.
+"""Files: where incidents are saved, how many are kept, and which file a person means. A file is written completely or
+not at all, and never replaces another. A damaged file is reported when it is read.
 
-The name of a file begins with its number: NUMBER-DATE-TIME-CAUSE.incident. A saver takes the next number of its folder
-before anything else, so the numbers are the order of the stops whatever the wall clock says. Files from before there
-were numbers count as older than all that have one.
+A file's name is NUMBER-DATE-TIME-CAUSE.incident. A saver takes the next number of its folder before it does anything
+else. So the numbers show the order of the stops even if the wall clock is wrong. Older versions of failstop wrote no
+numbers. Their files count as older than all files with a number.
 
-    "failstop incident\\n" | format u16, 0 u16 | length u32, crc32 u32 of the head | the same of the body | head | body
+    "failstop incident\n" | format u16, 0 u16 | length u32, crc32 u32 of the head | the same of the body | head | body
 
-The head is a msgpack map, small, all that a list needs. The body is a msgpack map too, compressed with zlib. Numbers
-are little-endian.
+The head is a small msgpack map with everything that a list of incidents needs. The body is a msgpack map too,
+compressed with zlib. Numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -38,26 +38,28 @@ MAGIC = b"failstop incident\n"
 FORMAT = 1
 SUFFIX = ".incident"
 DRAFT = ".draft-"
-"""How a file's name begins while it is written. Its number follows, which is taken as long as the draft exists."""
+"""The beginning of a file's name while the file is being written. The file's number follows, so the number is taken
+while the draft exists."""
 DIGITS = 6
 _LENGTHS = struct.Struct("<HHIIII")
 START_BYTES = len(MAGIC) + _LENGTHS.size
 LONGEST_HEAD = 65536
 LONGEST_BODY = 64 * 1024 * 1024
-"""Uncompressed; what claims to be longer is damage, and not worth the memory."""
+"""The longest allowed body, in bytes when uncompressed. A longer one must be damaged, and is not read into memory."""
 FOLDER = "incidents"
 LAST = "last"
 MOST_NAMED = 3
-"""How many incidents an error names."""
+"""How many incidents an error message names."""
 
 
 class IncidentError(FailstopError):
-    """An incident can't be found or read; the message says what is wrong with it."""
+    """An incident can't be found, read or written. The message says what is wrong."""
 
 
 @contextlib.contextmanager
 def as_written(path: str) -> Iterator[None]:
-    """Decode or tell what a file holds. Raises IncidentError where its values are not as failstop writes them."""
+    """Use this context around code that reads the values in a file. If they are not as failstop writes them, it raises
+    IncidentError with the file's path."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, OSError) as error:
@@ -65,7 +67,7 @@ def as_written(path: str) -> Iterator[None]:
 
 
 def build(head: dict[str, Any], body: dict[str, Any]) -> bytes:
-    """The bytes of a file."""
+    """The bytes of an incident file."""
     first: bytes = msgpack.packb(head)
     second = zlib.compress(msgpack.packb(body), 6)
     lengths = _LENGTHS.pack(FORMAT, 0, len(first), zlib.crc32(first), len(second), zlib.crc32(second))
@@ -73,14 +75,15 @@ def build(head: dict[str, Any], body: dict[str, Any]) -> bytes:
 
 
 class Draft:
-    """A file that is being written. Until write() or drop() its number is taken, and its descriptor holds a lock that
-    tells others that the writer lives."""
+    """A file that is being written. Until write() or drop() is called, its number is taken, and its descriptor holds a
+    lock. The lock shows other processes that the writer is alive."""
 
     def __init__(self, folder: str, number: int, fd: int) -> None:
         self._folder, self._number, self._fd = folder, number, fd
 
     def write(self, name: str, data: bytes) -> str:
-        """Publish the file under its number and this name; returns its path. Raises OSError, and then it is gone."""
+        """Save the data under the draft's number and this name. Returns the file's path. Raises OSError, and then the
+        draft is removed."""
         path = os.path.join(self._folder, f"{self._number:0{DIGITS}}-{name}{SUFFIX}")
         try:
             durable.write_all(self._fd, data)
@@ -92,14 +95,16 @@ class Draft:
         return path
 
     def drop(self) -> None:
-        """Give the number back: there is nothing to write, or it could not be written."""
+        """Remove the draft, so that its number is free again. Call it if there is nothing to write, or if writing
+        failed."""
         with contextlib.suppress(OSError):
             os.unlink(_draft(self._folder, self._number))
         os.close(self._fd)
 
 
 def begin(folder: str) -> Draft:
-    """Take the next number of a folder, which is made where it is missing. Raises OSError."""
+    """Begin a new file in a folder, and take the folder's next number for it. The folder is made if needed. Raises
+    OSError."""
     os.makedirs(folder, exist_ok=True)
     _clear(folder)
     while True:
@@ -113,15 +118,15 @@ def begin(folder: str) -> Draft:
         if not _locked(fd, path):
             os.close(fd)
         elif number in _published(folder):
-            # By another saver, after this one had looked for numbers.
+            # Another saver has published this number after we looked for a free one.
             draft.drop()
         else:
             return draft
 
 
 def write(folder: str, name: str, data: bytes) -> str:
-    """Write a file under the next number of a folder and this name; returns its path. It is whole, and on the disk, or
-    not there. Raises OSError."""
+    """Save data in a folder, under the next number and this name. Returns the file's path. The file is complete and on
+    the disk, or does not exist. Raises OSError."""
     return begin(folder).write(name, data)
 
 
@@ -130,8 +135,8 @@ def _draft(folder: str, number: int) -> str:
 
 
 def _locked(fd: int, path: str) -> bool:
-    """Lock a draft; False when another process was faster, which then clears it away. Where the file system knows no
-    locks it is as good as locked, as nobody can clear it."""
+    """Lock a draft. Returns False if another process had locked it first, because that process then removes it. On a
+    file system without locks it returns True, because nobody can remove the draft there."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return os.path.samestat(os.fstat(fd), os.lstat(path))
@@ -142,7 +147,7 @@ def _locked(fd: int, path: str) -> bool:
 
 
 def _clear(folder: str) -> None:
-    """Remove the drafts of writers that died: they take room that the next file may need."""
+    """Remove the drafts of writers that died. They use up space that the next file may need."""
     for entry in os.listdir(folder):
         if not entry.startswith(DRAFT):
             continue
@@ -150,7 +155,7 @@ def _clear(folder: str) -> None:
             fd = durable.open_own(path := os.path.join(folder, entry))
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                # The name may be that of a newer draft by now.
+                # A newer draft may have the same name by now, so compare the files.
                 if os.path.samestat(os.fstat(fd), os.lstat(path)):
                     os.unlink(path)
             finally:
@@ -158,7 +163,8 @@ def _clear(folder: str) -> None:
 
 
 def number_of(name: str) -> int:
-    """The number in the name of an incident, or of its file; 0: it has none, as it was saved before there were any."""
+    """The number in the name of an incident or its file. 0 if an older version of failstop has saved it without a
+    number."""
     first, _, rest = name.partition("-")
     date, _, rest = rest.partition("-")
     return int(first) if first.isdecimal() and first.isascii() and len(date) == 8 and date.isdecimal() and rest else 0
@@ -169,13 +175,13 @@ def _published(folder: str) -> set[int]:
 
 
 def _numbers(folder: str) -> set[int]:
-    """Every number of this folder that is taken."""
+    """All numbers of this folder that are taken."""
     drafts = (entry.removeprefix(DRAFT) for entry in os.listdir(folder) if entry.startswith(DRAFT))
     return _published(folder) | {int(number) for number in drafts if number.isdecimal() and number.isascii()}
 
 
 def write_as(path: str, data: bytes) -> None:
-    """Write a file of a person's choice, whole or not at all. Raises IncidentError."""
+    """Write a file to a path that a person has chosen, completely or not at all. Raises IncidentError."""
     draft = f"{path}.part"
     try:
         durable.write_draft(draft, data)
@@ -185,7 +191,8 @@ def write_as(path: str, data: bytes) -> None:
 
 
 def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return (head, body); without its body, that is neither read nor checked. Raises IncidentError."""
+    """Read a file. Returns (head, body). Without `with_body` the body is {}, and is neither read nor checked. Raises
+    IncidentError."""
     try:
         with open(durable.open_regular(path), "rb") as file:
             start = file.read(START_BYTES)
@@ -212,7 +219,7 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
         raise IncidentError(f"{path} is damaged: its {what} does not match its checksum")
     try:
         if what == "body":
-            # A body that is cut off here can't be unpacked.
+            # A body that is too long is cut off, and then can't be unpacked.
             data = zlib.decompressobj().decompress(data, LONGEST_BODY)
         found: dict[str, Any] = dict(msgpack.unpackb(data, strict_map_key=False))
     except (zlib.error, ValueError, TypeError, msgpack.UnpackException) as error:
@@ -221,29 +228,34 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
 
 
 def places(name: str, environ: Mapping[str, str]) -> list[str]:
-    """Every state directory in which a service of this name may keep files, whether it exists or not: as one that is
-    started from here, and as one of the system's, to which systemd gives its state directory."""
+    """The state directories in which a service of this name may keep its files, whether they exist or not. One is for a
+    service that was started from here. The other is for a service of the system, which gets its state directory from
+    systemd."""
     elsewhere = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
     found = [state_directory(name, given) for given in (environ, elsewhere)]
     return list(dict.fromkeys([*found, os.path.join(root.at(SYSTEM_BASE), name)]))
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """Every folder in which a service of this name has kept incidents."""
+    """The existing folders in which a service of this name has saved incidents."""
     return [path for place in places(name, environ) if os.path.isdir(path := os.path.join(place, FOLDER))]
 
 
 def identity(path: str) -> str:
-    """The name of an incident: that of its file."""
+    """The id of an incident: the name of its file, without the suffix."""
     return os.path.basename(path).removesuffix(SUFFIX)
 
 
 def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """The heads of a service's incidents in these folders, the oldest first, and what is wrong with files that can't be
-    read. Each head gets its `id`, its `path`, and `clock_jump_s`: how far the wall clock is known to have jumped since
-    the incident before it in its folder, in s, negative: back.
+    """Read the heads of a service's incidents in these folders. Returns the heads, the oldest first, and a problem in
+    words for each file that can't be read.
 
-    The order of each folder is that of its numbers. No number orders two folders, so these are merged by time."""
+    Each head gets three more keys. `id` and `path` identify the file. `clock_jump_s` is how far the wall clock is known
+    to have jumped since the incident before it in its folder, in s, negative if it jumped back.
+
+    Within a folder, the numbers decide the order. Between folders the time decides, because their numbers are not
+    related.
+    """
     found: list[list[dict[str, Any]]] = []
     problems = []
     for folder in places:
@@ -269,24 +281,25 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
 
 
 def _jump(before: dict[str, Any], head: dict[str, Any]) -> float:
-    """How far the wall clock is known to have jumped between two incidents, in s; 0: not that anybody could tell."""
+    """How far the wall clock is known to have jumped between two incidents, in s. 0 if no jump can be seen."""
     was_ns, is_ns = (each.get("unix_minus_monotonic_ns") for each in (before, head))
     apart_s = float(head["t"]) - float(before["t"])
     if before.get("run") == head.get("run") and isinstance(was_ns, int) and isinstance(is_ns, int):
-        # One run counts both by the same monotonic clock.
+        # Both incidents are of one run, so their monotonic times are of the same clock.
         return words.clock_jump(apart_s, apart_s - (is_ns - was_ns) / 1e9)
     return min(0.0, words.clock_jump(apart_s, 0.0))
 
 
 def jumped(head: dict[str, Any]) -> str:
-    """A note on the wall clock of an incident, for people; empty: nothing is known against it."""
+    """A note for people that the wall clock jumped before this incident. Empty if no jump is known."""
     seconds: float = head["clock_jump_s"]
     return f"before this incident {words.jumped(seconds)}" if seconds else ""
 
 
 def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
-    """Remove the oldest incidents of an instance (several may share a folder) beyond `keep` and `most_bytes` together,
-    but the newest. What is no incident is left alone."""
+    """Remove the oldest incidents of a service, so that at most `keep` incidents and `most_bytes` of data are left. The
+    newest incident is always kept. The folder may also contain incidents of other services and other files, which are
+    not touched."""
     total = 0
     for index, path in enumerate(head["path"] for head in reversed(heads(name, [folder])[0])):
         with contextlib.suppress(OSError):
@@ -296,12 +309,12 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
-    """The path of the incident that is meant by a path, `last`, an id, its number, the beginning of one with or without
-    its number, or its date, its time or both as the screens show them. Raises IncidentError."""
+    """The path of the incident that a person means by `wanted`. It may be a path, the word `last`, an id, a number, the
+    beginning of an id with or without its number, or a date or time as the screens show it. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
     there = folders(name, environ)
-    # A damaged file is not in the list; whoever names it should be told why.
+    # A damaged file is not in the list. Return its path, so that reading it shows what is wrong.
     if whole := [path for folder in there if os.path.exists(path := os.path.join(folder, wanted + SUFFIX))]:
         return whole[0]
     found, problems = heads(name, there)
@@ -321,8 +334,9 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
 
 
 def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The heads that a person may mean: those of this number, else those whose id, or its part after the number, begins
-    like this, else those whose date and time, or whose time, begins like this as the screens show it."""
+    """The heads of the incidents that a person may mean. First this looks for the number. If no incident has it, it
+    looks for ids that begin with `wanted`, with or without their numbers. If there are none, it looks for dates and
+    times that begin with it."""
     if wanted.isdecimal() and (numbered := [head for head in found if number_of(head["id"]) == int(wanted) > 0]):
         return numbered
     ids = ((head, head["id"]) for head in found)
@@ -333,14 +347,15 @@ def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _shown_at(head: dict[str, Any], wanted: str) -> bool:
-    """Whether the screens show an incident with a date and time that begins like this, or with such a time of day."""
+    """True if the date and time of an incident, or only its time of day, begins like this on the screens."""
     date_and_time = words.clock(head["t"])
     with_time = ":" in wanted and date_and_time.partition(" ")[2].startswith(wanted)
     return with_time or date_and_time.startswith(wanted)
 
 
 def nothing(name: str, environ: Mapping[str, str]) -> str:
-    """What to say where no incident is found: that none is saved, and what is known to keep one from being saved."""
+    """A message for people if no incident was found. It says so, and names what keeps incidents from being saved, if
+    that is known."""
     where = places(name, environ)
     reasons = [why for place in where if os.path.isdir(place) and (why := durable.no_room(place))]
     reasons = list(dict.fromkeys(reasons)) or [why for why in [durable.no_room(where[0])] if why]

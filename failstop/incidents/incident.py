@@ -1,4 +1,4 @@
-"""Incident: a saved file, decoded into series over time, and what follows from them. What can't be is counted."""
+"""Incident: a saved file, decoded into series over time. Entries that can't be decoded are counted."""
 
 from __future__ import annotations
 
@@ -37,48 +37,49 @@ SAYS = {
     box.NO_SCAN: "no obstacle sensor",
     SILENT: "the gate is silent",
 }
-"""The gate's word, or that it says nothing, for people."""
+"""What people read for each of the gate's decisions, and for a gate that is silent."""
 QUIET_NS = 100_000_000
-"""A board that sends 110 IMU samples a second and then nothing for this long has gone silent."""
+"""After this long without a sample, a board that sends 110 IMU samples a second counts as silent."""
 USUAL_GAPS = 2.5
-"""Reports that come less often have a gap where the next one takes this many times as long as usual."""
+"""How long a gap between two reports of the wheels is, as a multiple of the usual time between them. It applies to
+boards that report slowly."""
 SLOWEST_RPS = 1e-4
-"""A wheel that is reported to turn slower than this is still."""
+"""A wheel that turns slower than this counts as still."""
 EVERY_ID = range(1, HIGHEST_ID + 1)
 """The ids that a servo of an arm may have."""
 
 
 class Tick(NamedTuple):
-    """A decision of the gate, at one tick."""
+    """One decision of the gate."""
 
     ns: int
     epoch: int
     block: str
-    """A word of box.DECISIONS."""
+    """The decision, one of box.DECISIONS."""
     enabled: bool
     manual: bool
     drives: bool
-    """The newest command is the one that drives."""
+    """True if the newest command is the one that drives."""
     commands: int
-    """How many commands came since the tick before."""
+    """How many commands arrived since the tick before."""
     age_us: int | None
-    """The age of the newest command, us. None: no command came yet."""
+    """The age of the newest command, us. None if no command has arrived yet."""
     command: tuple[float, float, float]
-    """m/s forward, m/s left, rad/s counter-clockwise; may be anything, NaN too."""
+    """The newest command: m/s forward, m/s left, rad/s counter-clockwise. It is unchecked, so it may also be NaN."""
     velocity: tuple[float, float, float]
-    """The gate's own command for it."""
+    """The velocity that the gate decided."""
     wheels_rps: tuple[float, ...]
     source: str
     who: str
 
 
 HEARERS = (layout.TELEMETRY, layout.PORT_OWNER)
-"""Processes that keep the board's bytes."""
+"""The processes that record the bytes from the board."""
 
 
 class WriteSort:
-    """The sort of a write: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest
-    of what the kernel had not taken."""
+    """What was written to the port. MOTION is a motor frame that moves a wheel, ZERO a motor frame with only zeros, and
+    ARM a frame for the arm's servos. REST are bytes that the kernel had not taken in the write before."""
 
     MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
 
@@ -89,21 +90,21 @@ class PortWrite(NamedTuple):
     ns: int
     by: str
     sort: str
-    """What was written: one of WriteSort."""
+    """What was written, one of WriteSort."""
     length: int = 0
     taken: int = 0
-    """Bytes that the kernel took at once."""
+    """How many bytes the kernel took at once."""
     head: bytes = b""
-    """The frame's first bytes."""
+    """The first bytes of the frame."""
     speeds_rps: tuple[float, ...] | None = None
-    """The speeds that it sets, in the order of Incident.wheels; None: it sets none."""
+    """The wheel speeds that this write sets, in the order of Incident.wheels. None if it sets none."""
 
 
 class Incident:
-    """One file, whole. `ms(ns)` is relative to the cause."""
+    """One incident file, decoded. Its times are CLOCK_MONOTONIC ns, and ms() converts them to ms from the cause."""
 
     def __init__(self, identity: str, head: dict[str, Any], body: dict[str, Any]) -> None:
-        """Raises KeyError, TypeError for what is no incident."""
+        """Raises KeyError or TypeError if the maps are not those of an incident."""
         self.id = identity
         self.head = head
         self.cause_ns: int = head["cause_ns"]
@@ -113,14 +114,15 @@ class Incident:
         self.machine: dict[str, Any] = body["machine"]
         self._segments: dict[str, Any] = body["segments"]
         self.foreign = head["layout"] != layout.LAYOUT_VERSION
-        """Saved by a version that laid its records out otherwise: only the head and the events are read."""
+        """True if a failstop with another record layout has saved it. Then only the head and the events can be read."""
         self.undecoded = 0
         self.ticks = [Tick(ns, **found) for ns, found in self._entries(layout.GATE, "box", box.unpack_gate)]
-        """The gate's decisions."""
+        """The gate's decisions, one for each tick."""
         supervisor = self._entries(layout.SUPERVISOR, "box", box.unpack_beats)
         self.beats = [(ns, times) for ns, times in supervisor if times]
-        """(when, (silent_us, before_us) of each process: its longest silence since the sample before, and how long
-        before this sample that was seen), as layout.PROCESS_NAMES."""
+        """(time, silences), each time with one (silent_us, before_us) for each process of layout.PROCESS_NAMES.
+        `silent_us` is the process's longest silence since the sample before. `before_us` is how long before this sample
+        that silence was seen."""
         wire = self._entries(layout.PORT_OWNER, "box", box.WIRE.unpack)
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = wheel_ids(self.settings)
@@ -131,51 +133,55 @@ class Incident:
         writes += [_write(spoken, ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
         writes += [_write(spoken, ids, last_ns, layout.STOPPER, box.WIRE_BURST)] * (last_ns > 0)
         self.writes = sorted(writes, key=lambda write: write.ns)
-        """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
+        """Everything that was written to the board, in order: the writes of the port owner, the stop bursts of the
+        supervisor, and the last one of the stopper."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
         self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU_KIND]
         self.battery_v = [(ns, values[0] / 1e3) for ns, (kind, values) in board if kind == box.BATTERY_KIND]
-        """(when, volts)."""
+        """(time, volts) for each reading."""
         self._servos_ns = [ns for ns, (kind, _) in board if kind == box.SERVO_KIND]
         self.measured = [
             (ns, tuple(values[wire_id] for wire_id in ids))
             for ns, (kind, values) in board
             if kind == box.WHEELS_KIND and not any(isnan(values[wire_id]) for wire_id in ids)
         ]
-        """(when, the speed of each wheel in turns a second, as PortWrite.speeds_rps): the board's reports of them."""
+        """(time, speeds) for each report of the wheels. The speeds are turns per second, in the order of
+        PortWrite.speeds_rps."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
-        """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
+        """(time, (mode, who, aims)): where the arm was to move, ten times a second while somebody moved it."""
         heard = [self._entries(process, "received", bytes) for process in HEARERS]
         self.received = sorted(heard[0] + heard[1], key=lambda entry: entry[0])
-        """Bytes from the board, of the last seconds; the port owner's are of while no telemetry ran."""
+        """(time, bytes) of everything that the board sent in the last seconds. The port owner's entries are from times
+        without a telemetry process."""
         self.received_from_ns = [at_ns for process in HEARERS if (at_ns := self._first_kept_ns(process, "received"))]
-        """When the oldest bytes came that a ring still has, of each ring that has lost older ones. The file does not
-        have what was heard before."""
+        """For each ring that has lost its oldest entries: the time of the oldest bytes that it still has. The file does
+        not have what the board sent before that."""
         noticed = [
             (cause_ns, segment, causes.read(cause))
             for segment in (layout.PORT_OWNER, layout.GATE)
             for _, (_, cause_ns, _, cause) in self._entries(segment, "stops", records.STOPPED.unpack)
         ]
         self.stops = sorted(noticed, key=lambda stop: stop[0])
-        """(when, by whom, cause): every cause that port owner and gate noticed."""
+        """(time, process, cause) for every cause that the port owner or the gate noticed."""
         told: list[tuple[int, Event]] = self._entries(layout.SUPERVISOR, "events", lambda payload: unpack(0, payload))
         self.events = [event for _, event in told]
-        """Events for people."""
+        """The logged events."""
         times = [found[0] for series in (self.ticks, self.writes, self.imu, self.beats) for found in series]
         self.span_ns = min(times, default=self.cause_ns), max(times, default=self.cause_ns)
-        """The oldest and the newest moment that is in the file."""
+        """The oldest and the newest time in the file."""
 
     @classmethod
     def read(cls, path: str) -> Incident:
-        """Raises IncidentError."""
+        """Read an incident from its file. Raises IncidentError."""
         head, body = files.read(path)
         with files.as_written(path):
             return cls(files.identity(path), head, body)
 
     def _entries(self, segment: str, name: str, decode: Callable[[bytes], Payload | None]) -> list[tuple[int, Payload]]:
-        """A ring's (when, what)."""
+        """The decoded entries of a ring, as (time, entry). Entries that can't be decoded are left out, and counted in
+        `undecoded`."""
         found: list[tuple[int, Payload]] = []
-        # Events name their parts, whatever the layout.
+        # Events can be read whatever the layout is, because their parts have names.
         if self.foreign and name != "events":
             return found
         for _, ns, payload in self._segments.get(segment, {}).get("rings", {}).get(name, []):
@@ -190,22 +196,22 @@ class Incident:
         return found
 
     def _first_kept_ns(self, segment: str, name: str) -> int:
-        """When the oldest entry of a ring was made, if older ones were overwritten; 0: none were."""
+        """The time of the oldest entry of a ring, if older entries were overwritten. 0 if none were."""
         kept = self._segments.get(segment, {}).get("rings", {}).get(name, [])
         return int(kept[0][1]) if kept and kept[0][0] > 1 else 0
 
     @property
     def why(self) -> str:
-        """The reason without who asked for it."""
+        """The reason of the stop, without the name of its requester."""
         return causes.unsigned(self.cause) if self.cause.kind in causes.SIGNED else self.reason
 
     @property
     def left(self) -> bool:
-        """It is of a run that ended without an order, as the next start found it in memory."""
+        """True if the run ended unexpectedly, and the next start found this incident in its memory."""
         return bool(self.head["kind"] == "left")
 
     def check_layout(self) -> None:
-        """Raise IncidentError for one whose records this version can't read."""
+        """Raise IncidentError if this version can't read the incident's records."""
         if self.foreign:
             raise IncidentError(
                 f"{self.id} was saved by failstop {self.head['versions']['failstop']}, which stored its records "
@@ -213,26 +219,26 @@ class Incident:
             )
 
     def ms(self, ns: int) -> float:
-        """Milliseconds from the cause."""
+        """A time in ms from the cause."""
         return (ns - self.cause_ns) / 1e6
 
     def number(self, key: str) -> float:
-        """A setting; its default where the file has none."""
+        """The value of a setting. If the file does not have it, its default."""
         return float(self.settings.get(key, BY_KEY[key].default))
 
     def words(self, segment: str) -> dict[str, int]:
-        """The words of a segment."""
+        """The words (single numbers) of a segment of shared memory, by their names."""
         return dict(self._segments.get(segment, {}).get("words", {}))
 
     def allowed_ns(self, process: str) -> int:
-        """How long a process may be silent without anybody minding."""
+        """How long a process may be silent before the robot is stopped for it, ns."""
         if process in (layout.GATE, layout.SUPERVISOR):
             return round(self.number("gate.lease_s") * 1e9)
         return PROCESS_BY_NAME[process].deadline_ns
 
     def silences(self) -> list[tuple[str, int, int]]:
-        """(process, its last beat before, when it was last seen to be silent) of each that was silent for too long, as
-        the supervisor saw it; of its own silences, those that it noticed afterwards."""
+        """(process, time of its last beat, time when it was last seen silent) for each silence that was too long. This
+        is what the supervisor saw. It noticed its own silences only afterwards."""
         found = []
         for index, process in enumerate(layout.PROCESS_NAMES):
             allowed_us = self.allowed_ns(process) / 1000
@@ -243,11 +249,12 @@ class Incident:
         return found
 
     def deaths(self, process: str) -> list[int]:
-        """When it was told that a process had died."""
+        """When the death of this process was logged."""
         return [event.ns for event in self.events if event.kind == "died" and event.fields.get("process") == process]
 
     def gate_spans(self) -> list[tuple[str, int, int]]:
-        """(What the gate said, from when, until when), without gaps; where it missed its ticks or was dead, SILENT."""
+        """(decision, begin, end) for all times, without gaps. While the gate missed its ticks or was dead, the decision
+        is SILENT."""
         allowed, died = self.allowed_ns(layout.GATE), self.deaths(layout.GATE)
         parts: list[tuple[str, int, int]] = []
         for tick, end_ns in zip(self.ticks, [*(tick.ns for tick in self.ticks[1:]), self.span_ns[1]], strict=False):
@@ -258,14 +265,15 @@ class Incident:
 
     @cached_property
     def wheels_gap_ns(self) -> int:
-        """Between two reports of the wheels that are further apart than this, some were missed."""
+        """The longest usual time between two reports of the wheels, ns. If two reports are further apart, reports are
+        missing between them."""
         apart = sorted(later - earlier for (earlier, _), (later, _) in pairwise(self.measured))
         return max(QUIET_NS, round(USUAL_GAPS * apart[len(apart) // 2])) if apart else QUIET_NS
 
     def rolled(self) -> list[tuple[bool, int, int, float, int]]:
-        """(whether they turn, first seen so, last seen so, the fastest in turns a second, how many reports said so):
-        what the board's reports say of the wheels, in order. A gap in the reports ends an entry, because nothing says
-        what the wheels did meanwhile."""
+        """(True if the wheels turn, first time, last time, fastest speed in turns per second, number of reports) for
+        each period in which the wheels turned or were still, as the board reported it. A gap in the reports ends a
+        period, because nobody knows what the wheels did meanwhile."""
         found: list[tuple[bool, int, int, float, int]] = []
         for ns, speeds in self.measured:
             fastest = max(map(abs, speeds), default=0.0)
@@ -278,8 +286,8 @@ class Incident:
         return found
 
     def ages(self) -> dict[str, float | None]:
-        """How old the newest reading of each kind was at the cause, in s, named as in State.ages; None: the file has no
-        reading from before it. That of the wheels is called `wheels_s`."""
+        """How old the newest reading of each kind was at the cause, in s. The kinds have the names of State.ages, and
+        the wheels are `wheels_s`. None if the file has no reading from before the cause."""
         readings = {
             "board_s": [ns for ns, _ in self.received],
             "wheels_s": [ns for ns, _ in self.measured],
@@ -291,23 +299,24 @@ class Incident:
         return {name: round((self.cause_ns - max(times)) / 1e9, 3) if times else None for name, times in newest.items()}
 
     def _board(self) -> Board | None:
-        """The board that the settings name; None: of the user's own, whose code no reader of a file runs."""
+        """The board that the settings name. None for a user's own board, because reading a file must not run the code
+        of such a board."""
         kind = str(self.settings.get("board.kind", BY_KEY["board.kind"].default))
         if kind not in BOARDS:
             return None
         lines = "\n".join(f"{key}={value}" for key, value in self.settings.items())
         try:
             return board_of(*Settings.from_lines(lines).board())
-        except (SettingError, ValueError):  # another version's settings
+        except (SettingError, ValueError):  # these settings are from another version of failstop
             return board_of(kind, self.number("wheels.diameter_m"), self.number("board.per_rps"))
 
     def joint(self, servo: int) -> str:
-        """The name that the settings give it."""
+        """The name of the arm's joint with this servo, from the settings."""
         named = (key.split(".") for key, value in self.settings.items() if value == str(servo))
         return next((key[1] for key in named if key[0] == "joints" and key[2:] == ["servo"]), f"servo {servo}")
 
     def joints(self) -> dict[int, list[tuple[int, int]]]:
-        """(when, pulses): where each servo of the arm was sent, by its number."""
+        """Where each servo of the arm was sent, by its number, as (time, pulses)."""
         found: dict[int, list[tuple[int, int]]] = {}
         board = self._board()
         bus = board.arm if board else None
@@ -320,7 +329,7 @@ class Incident:
 def _write(
     board: Board | None, ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
 ) -> PortWrite:
-    """One write to the port. `kind`: as box.pack_wire() recorded it; `ids`: the wheels' ids on the wire."""
+    """Make a PortWrite. `kind`: the kind that box.pack_wire() recorded. `ids`: the wheels' ids on the wire."""
     speeds: tuple[float, ...] | None = None
     if kind == box.WIRE_BURST:
         sort, speeds = WriteSort.STOP_BURST, (0.0,) * len(ids)
@@ -337,5 +346,5 @@ def _write(
 
 
 def named(process: str) -> str:
-    """A process, for people."""
+    """The name of a process, for people."""
     return process.replace("_", " ")

@@ -1,4 +1,5 @@
-"""Left: the memory of a run that died, as an answer to "why do the wheels stand?"."""
+"""Left: explains why the wheels are stopped, if the service's last run died. The answer comes from the shared memory
+that the dead run left."""
 
 from __future__ import annotations
 
@@ -14,8 +15,11 @@ from failstop.messages import layout, records, segments
 
 
 def left(name: str) -> tuple[Why, list[Event]] | None:
-    """The memory left by a run that was not ended in order, until the service is started again, or the machine: the
-    answer to "why do the wheels stand?", and what it told. None: it runs, was another user's, or left nothing."""
+    """Explain why the wheels are stopped, from the memory of a run that did not end cleanly. Returns the answer and the
+    run's events. The memory exists until the service or the computer is started again.
+
+    Returns None if the service is running, if the memory belongs to another user, or if there is none.
+    """
     dead = segments.dead_runs(name)
     fds = segments.open_all(dead[-1]) if dead else {}
     try:
@@ -50,7 +54,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
 
 
 def refusal(name: str, error: NoService) -> NoService:
-    """A better error for a service that does not run, where its last run left one."""
+    """A more helpful error if no service is running. If its last run died, the error says why."""
     if found := left(name):
         return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
     if host.unit(name):

@@ -1,8 +1,8 @@
-"""Memory: the segments of a run, taken apart record by record, and what they say of a stop: which one ended the run,
-who wrote it and how it was proven.
+"""Memory: decodes the shared memory of a run, record by record. It also finds out which stop ended the run, which
+process wrote it, and how it was proven.
 
-Every record stands on its own checksum, so a copy of a segment that is being written misses what was just being
-written, and nothing else.
+Every record has its own checksum. So a copy can be made while a process writes, and lacks only what was being written
+at that moment.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     """The segments of a run by their names, each as segment() returns it. An incident's file holds the same."""
 
 OUTLIVED_NS = 60_000_000
-"""The longest time between two beats of a live process. A process whose last beat is this long after the supervisor's
-has outlived the supervisor."""
+"""The longest time between two beats of a live process. If a process's last beat is later than the supervisor's last
+beat by more than this, the process has outlived the supervisor."""
 NOT_KNOWN = "not known"
 _LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by")
 PROOF_WORDS = ("noticed_by", "written_by", "written_us", *_LATER)
@@ -42,8 +42,8 @@ _WORD = struct.Struct("<Q")
 
 
 def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[Entry]:
-    """Every whole entry of a record (a latest has two cells, a ring many), the oldest first, of a copy of its segment
-    as messages.segments.copy() returns it."""
+    """All intact entries of a record, the oldest first. A record of the kind `latest` has two cells, and a ring has
+    many. `data` is a copy of the segment from messages.segments.copy()."""
     spec = layout.SEGMENT_BY_NAME[name]
     record = spec.records[record_name]
     size, offset = cell_bytes(record.capacity), spec.offsets[record_name]
@@ -53,13 +53,14 @@ def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[
 
 
 def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
-    """A copy of a segment as it is saved: words by name, latest as [seq, t_ns, payload], rings as lists of these."""
+    """Decode a copy of a segment into the form in which it is saved. It has the words by name, each latest record as
+    [seq, t_ns, payload], and each ring as a list of such entries."""
     spec = layout.SEGMENT_BY_NAME[name]
     found: dict[str, dict[str, Any]] = {"words": {}, "latest": {}, "rings": {}}
     for record in spec.records.values():
         if record.kind == "word":
             found["words"][record.name] = _WORD.unpack_from(data, spec.offsets[record.name])[0]
-        # Answers to clients are of no use to anybody else.
+        # Answers to clients are left out, because only the client needs them.
         elif record.kind in ("latest", "ring") and not record.name.startswith("reply."):
             there = [list(entry) for entry in entries(name, record.name, incarnation, data)]
             if record.kind == "ring":
@@ -70,27 +71,28 @@ def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
 
 
 def word(fd: int, name: str, record_name: str) -> int:
-    """A word of a segment, read through its descriptor; 0 where the segment is too short. Raises OSError."""
+    """Read a word (a single number) of a segment through its descriptor. 0 if the segment is too short. Raises
+    OSError."""
     data = os.pread(fd, _WORD.size, layout.SEGMENT_BY_NAME[name].offsets[record_name])
     return int(_WORD.unpack(data)[0]) if len(data) == _WORD.size else 0
 
 
 def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
-    """The number of the run, and its segments. Raises AttachError, OSError."""
+    """Copy all segments of a run. Returns the run's number and its segments. Raises AttachError, OSError."""
     copies = {which: shared.copy(fd, memory, which) for which, fd in fds.items()}
     return copies[layout.SUPERVISOR][0], {which: segment(which, *copied) for which, copied in copies.items()}
 
 
 def left_cause(segments: Segments) -> tuple[int, int, Cause]:
-    """The cause that ended a run out of order: (cause_ns, epoch, cause), by the port owner's word where it has
-    outlived the supervisor, else by the last sign of life."""
+    """Why a run ended unexpectedly. Returns (cause_ns, epoch, cause). If the port owner has noticed a cause that the
+    supervisor did not handle any more, it is this cause. Otherwise the cause follows from the last signs of life."""
     supervisor = segments[layout.SUPERVISOR]["words"]
     beat_ns, raised = supervisor["beat_ns"], supervisor["epoch"]
     owed = []
     for _, _, payload in segments[layout.PORT_OWNER]["rings"]["stops"]:
         with contextlib.suppress(ValueError):
             epoch, cause_ns, _, cause = records.STOPPED.unpack(payload)
-            # An epoch that was raised answered its causes: those of the last one had nobody to answer them.
+            # A raised epoch shows that its causes were handled. Nobody handled the causes of the last epoch.
             if epoch >= raised:
                 owed.append((cause_ns, epoch, causes.read(cause)))
     if owed:
@@ -102,7 +104,7 @@ def left_cause(segments: Segments) -> tuple[int, int, Cause]:
 
 
 def known_better(segments: Segments, latched: Cause) -> Cause:
-    """The cause of a latched stop as the service knows it now: it may have been completed since it was latched."""
+    """The cause of a latched stop, with details that became known after it was latched."""
     try:
         now = causes.read(records.LATCH.unpack(segments[layout.SUPERVISOR]["latest"]["latch"][2])[-1])
     except (KeyError, ValueError):
@@ -111,7 +113,8 @@ def known_better(segments: Segments, latched: Cause) -> Cause:
 
 
 def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
-    """`written_by` and `written_us` of the stop for this cause, by what the rings hold; empty: nobody wrote one."""
+    """Who wrote the stop for this cause, from the rings: a map with `written_by` and `written_us`. Empty if no stop was
+    written."""
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
@@ -124,11 +127,11 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
 
 
 def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
-    """PROOF_WORDS and `wheels` (still, unstill or unknown) of the stop whose cause was noticed then, as far as the
-    supervisor has told; None when nothing was told of it.
+    """What the supervisor has recorded about the stop whose cause was noticed at `cause_ns`. This is a map with
+    PROOF_WORDS, and with `wheels`, which is still, unstill or unknown. None if nothing was recorded about it.
 
-    The supervisor's record of the last stop (supervisor/proof.py) may be of a later one by now; what was told as
-    events `stop` and `stop_outcome` is of this one for good.
+    The supervisor's record of the last stop (supervisor/proof.py) may describe a later stop by now. But its events
+    `stop` and `stop_outcome` name the stop that they belong to.
     """
     supervisor = segments[layout.SUPERVISOR]
     found: dict[str, Any] = {}
@@ -148,7 +151,7 @@ def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
 
 
 def as_map(payload: bytes) -> dict[str, Any]:
-    """A map packed with msgpack; empty for bytes that are none."""
+    """Unpack a msgpack map. Empty if the bytes are not one."""
     try:
         found = msgpack.unpackb(payload)
     except (ValueError, msgpack.UnpackException):
@@ -157,8 +160,8 @@ def as_map(payload: bytes) -> dict[str, Any]:
 
 
 def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
-    """The three levels of proof in words, by the head of an incident, each with whether it is one (None: not known,
-    also because the wheels were not seen to move before the stop either)."""
+    """The three levels of proof in words, from the head of an incident. Each is (text, True if it is proven). The
+    second value is None if nobody knows, for example if the wheels were not seen moving before the stop."""
     stop: dict[str, Any] = head["stop"] or {}
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
     found: list[tuple[str, bool | None]] = [
@@ -174,7 +177,7 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
     if heard_us is not None:
         found[1] = f"acknowledged after {took(heard_us / 1e6)}{late}", True
     if seen_ms is not None:
-        # Without a word that would not fit a line of 80 columns.
+        # This must be short enough for a line of 80 columns.
         seen = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU")
         found[2] = f"{seen}{late}" if seen_ms else seen, True if seen_ms else None
     elif stop.get("wheels") == "unstill":
@@ -183,5 +186,5 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
 
 
 def proven(head: dict[str, Any]) -> str:
-    """The three levels in a line."""
+    """The three levels of proof in one line."""
     return ", ".join(text for text, _ in proofs(head))

@@ -1,5 +1,5 @@
-"""Plot: an incident as one picture - the seconds around the stop on the left, its milliseconds on the right. What is on
-the time axis is in ms from the cause."""
+"""Plot: draws an incident as one picture. The left half shows the seconds around the stop, and the right half its
+milliseconds. The time axis is in ms from the cause."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ Panel = tuple[str, float, Callable[["Axes", Incident], None]]
 FORMATS = (".png", ".svg", ".pdf")
 NEEDS = extras.missing("a plot needs matplotlib", "plots")
 ZOOM_MS = (-60.0, 140.0)
-"""A tick of 20 ms is to be seen, and the burst's repeats at 20 and 100 ms."""
+"""The time range of the right half, ms from the cause. It is wide enough to show ticks of 20 ms, and the repeats of the
+stop burst at 20 and 100 ms."""
 LEAST_MS = 200.0
-"""So much before the cause is in the picture, and after it, even of next to nothing."""
+"""The picture shows at least this much time before and after the cause, ms, even if the file has less."""
 BREAK_MS = 100.0
-"""A board that sends 110 samples a second and none for so long was silent: no line is drawn across."""
+"""After a pause of this long, a line is interrupted, ms. A board that sends 110 samples a second was silent then."""
 LINE_IN = 0.19
-"""Height of a line of the story."""
+"""The height of one line of the story, inches."""
 INK, FAINT, ALARM, BEATS_COLOR = "#1b1f24", "#6b7480", "#c62828", "#a9d5c3"
 STYLE: Any = {
     "axes.spines.right": False,
@@ -51,7 +52,7 @@ STYLE: Any = {
 }
 AXES = (("vx", "m/s", "limits.vx_mps"), ("vy", "m/s", "limits.vy_mps"), ("wz", "rad/s", "limits.wz_radps"))
 WRITTEN = {WriteSort.MOTION: INK, WriteSort.ZERO: FAINT, WriteSort.STOP_BURST: ALARM, WriteSort.PING: "C3"}
-"""The lanes of what was written, by its sort, and their colours."""
+"""The kinds of writes that have their own lane, each with its colour."""
 SHADES = {
     DRIVING: "white",
     "estop": "#fdeaea",
@@ -61,11 +62,12 @@ SHADES = {
     box.NO_SCAN: "#e3effa",
     SILENT: "#e6dff3",
 }
-"""The shade behind the curves for each word of the gate's."""
+"""The background colour for each of the gate's decisions."""
 
 
 def save(incident: Incident, path: str, seconds: float) -> None:
-    """Write the picture, from `seconds` before the cause to the end, whole or not at all. Raises IncidentError."""
+    """Draw an incident from `seconds` before the cause to its end, and write the picture to `path`, completely or not
+    at all. Raises IncidentError."""
     if not path.lower().endswith(FORMATS):
         raise IncidentError(f"{path}: the name must end in {' or '.join(FORMATS)}")
     try:
@@ -83,7 +85,7 @@ def save(incident: Incident, path: str, seconds: float) -> None:
 
 
 def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
-    """From the top: what happened, the panels, what their background means, the story."""
+    """Draw from the top: the title, the panels, the legend of their background, and the story."""
     shown = [panel for panel in PANELS if panel[2] is not _joints or incident.joints()]
     lines = story.brief(incident)
     heights = [height for _, height, _ in shown]
@@ -125,7 +127,7 @@ def _title(figure: SubFigure, incident: Incident) -> None:
 
 
 def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[str]) -> None:
-    """The legend: the meaning of each shade in the picture, and the lines of the story that matter."""
+    """Draw the legend of the background colours in the picture, and the most important lines of the story."""
     from matplotlib.patches import Patch
 
     patches = [Patch(facecolor=SHADES[what], edgecolor=FAINT, label=SAYS[what]) for what in SHADES if what in there]
@@ -137,19 +139,21 @@ def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[s
 
 
 def _at(incident: Incident, entries: Iterable[tuple[Any, ...]]) -> list[float]:
-    """When they were."""
+    """The times of these entries, in ms from the cause."""
     return [incident.ms(entry[0]) for entry in entries]
 
 
 def broken(at_ms: list[float], values: Any, gap_ms: float = BREAK_MS) -> tuple[Any, Any]:
-    """A curve with no value (NaN) wherever what it is made of is further apart than `gap_ms`."""
+    """A curve that is interrupted (by NaN) wherever two neighbouring points are further apart than `gap_ms`. Returns
+    (times, values)."""
     times, found = np.array(at_ms), np.array(values, dtype=float)
     gaps = np.nonzero(np.diff(times) > gap_ms)[0] + 1
     return np.insert(times, gaps, times[gaps - 1]), np.insert(found, gaps, np.nan)
 
 
 def _velocity(axes: Axes, incident: Incident) -> None:
-    """The commands and the gate's own for them. A command far beyond its limit must not squash the rest."""
+    """Draw the commands, and the velocity that the gate decided. A command far above its limit is cut off, so that the
+    other curves stay readable."""
     fresh_us = incident.number("gate.command_timeout_s") * 1e6
     old = nan, nan, nan
     asked = [tick.command if (tick.age_us or 0) <= fresh_us else old for tick in incident.ticks]
@@ -164,8 +168,9 @@ def _velocity(axes: Axes, incident: Incident) -> None:
 
 
 def _wheels(axes: Axes, incident: Incident) -> None:
-    """Speeds that were written to the board, not those that were decided: the two differ where the port owner refused.
-    The wheels of one side often turn alike, and both are to be seen."""
+    """Draw the wheel speeds that were written to the board. They differ from the gate's decisions if the port owner
+    refused some. Two wheels of one side often turn the same way, so one line is drawn wide and pale behind the
+    other."""
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     for index, name in enumerate(incident.wheels):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
@@ -184,14 +189,14 @@ def _wheels(axes: Axes, incident: Incident) -> None:
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
-    """Where each joint was sent: a servo gets there within its move, of some 40 ms, and stands at a stop burst."""
+    """Draw where each joint was sent. A servo gets there in about 40 ms, and stands still after a stop burst."""
     for servo, sent in sorted(incident.joints().items()):
         axes.plot(*broken(_at(incident, sent), [pulses for _, pulses in sent]), label=incident.joint(servo))
 
 
 def _vibration(axes: Axes, incident: Incident) -> None:
-    """The larger of the standard deviations of gyro x and y over the window of 0.5 s that ends there, as telemetry
-    judges it; no value where the window holds too few samples."""
+    """Draw the vibration, by which telemetry judges whether the wheels are still: the larger standard deviation of the
+    gyro's x and y over the last 0.5 s. There is no value if this window has too few samples."""
     times = np.array([sample.t_ns for sample in incident.imu], dtype=np.int64)
     rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float)
     firsts = np.searchsorted(times, times - WINDOW_NS, side="right")
@@ -208,13 +213,13 @@ def _vibration(axes: Axes, incident: Incident) -> None:
 
 
 def _lanes(axes: Axes, incident: Incident) -> None:
-    """One lane each for what came, what went out, and who beat."""
+    """Draw a lane for each kind of message in and out, and for the heartbeat of each process."""
     lanes = [("commands", "C0", _at(incident, (tick for tick in incident.ticks if tick.commands)))]
     for sort, color in WRITTEN.items():
         lanes.append((sort, color, _at(incident, (write for write in incident.writes if write.sort == sort))))
     lanes.append(("board heard", "C1", _at(incident, incident.imu)))
     names, colors, times = zip(*lanes, strict=True)
-    # A burst is to be seen beside the line of the cause.
+    # A burst must be visible next to the line of the cause.
     widths = [2.6 if color == ALARM else 1.0 for color in colors]
     axes.eventplot(times, lineoffsets=range(len(lanes)), linelengths=0.72, linewidths=widths, colors=colors)
     begin_ns, end_ns = incident.span_ns
@@ -239,4 +244,5 @@ PANELS: tuple[Panel, ...] = (
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),
 )
-"""From the top: title, height in inches, and what draws it; the arm's only where it was moved."""
+"""The panels from the top, each with its title, its height in inches, and the function that draws it. The arm's panel
+is drawn only if the arm was moved."""

@@ -1,11 +1,11 @@
-"""The saver: a short-lived process of its own that copies the black box and writes one file.
+"""The saver: a short-lived process that copies the black box and writes one incident file.
 
-`python -I -S saver.py key=value ...`, run by the supervisor (supervisor/blackbox.py), which hands its search path over.
-It reads shared memory through descriptors that the supervisor hands it, so a run that ends meanwhile, or has ended
-long ago, makes no difference. Whatever fails here is one line for the supervisor, and no stop waits for it.
+The supervisor (supervisor/blackbox.py) runs it as `python -I -S saver.py key=value ...`, and passes its own search
+path. The saver reads the shared memory through descriptors from the supervisor, so it also works if the run has ended.
+If the saver fails, the supervisor logs one line. No stop waits for it.
 """
 
-# ruff: noqa: E402 - a script of a search path and a priority of its own, which it needs before it imports.
+# ruff: noqa: E402 - this script must set its search path and its priority before it imports anything.
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import time
 NICE = 15
 
 if __name__ == "__main__":
-    # The imports take longer than the work.
+    # Lower the priority before the imports, because they take longer than the work.
     with contextlib.suppress(OSError):
         os.nice(NICE)
     sys.path[:] = os.environ["FAILSTOP_PATH"].split(os.pathsep)
@@ -38,20 +38,22 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 RETURN_NS = 12_000_000_000
-"""A lost port is waited for: no stop can be written before it is back, and a USB drop lasts 3 to 8 s."""
+"""How long to wait for a port that was unplugged. A USB drop lasts 3 to 8 s, and no stop can be written before the port
+is back."""
 SAVER_LOOK_NS = 250_000_000
 MOST_SAID = 500
 
 
 def main(words: dict[str, str]) -> int:
-    """Save one incident; tells the result pipe which (empty: a dead run is not worth one), or what is `wrong`. Returns
-    the exit code.
+    """Save one incident. Writes to the result pipe which incident was saved, or an empty map if a dead run has nothing
+    worth saving, or a map with the error as `wrong`. Returns the exit code.
 
-    words: name; fds: SEGMENT:FD,...; keep, max_mb; result: a pipe's end to write to; until_ns: when to copy, or sooner,
-    when the pipe `hurry` is closed; and for a run that still lives: cause_ns, epoch, cause.
+    `words` has these keys: `name`, the service; `fds`, SEGMENT:FD,...; `keep` and `max_mb`, the limits of prune();
+    `result`, a pipe's write end; `until_ns`, when to copy; `hurry`, a pipe that is closed if the copy must be made at
+    once. For a run that is still alive there are also `cause_ns`, `epoch` and `cause`.
     """
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as adjust:
-        adjust.write("500")  # of all processes here, the one to do without
+        adjust.write("500")  # if memory runs out, the kernel must kill this process first
     try:
         told, code = save(words), 0
     except (OSError, segments.AttachError, files.IncidentError) as error:
@@ -66,14 +68,15 @@ def main(words: dict[str, str]) -> int:
 
 
 def save(words: dict[str, str]) -> dict[str, Any]:
-    """Returns which: its id, when its cause was (Unix time, s), the cause's text, and of which run it is."""
+    """Save one incident. Returns its id, the time of its cause (Unix time, s), the cause's text, and which run it
+    belongs to."""
     name, live = words["name"], "cause_ns" in words
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
     if not live and memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state") == BEAT_STARTING:
-        # It never was ready: why is in the journal, and a service that can't start must not fill the folder.
+        # This run was never ready. The journal says why, and a service that can't start must not fill the folder.
         return {}
     folder = os.path.join(state_directory(name, os.environ), files.FOLDER)
-    # Before the wait, as the numbers are the order of the stops, and one of them may wait longer than the next.
+    # Take the number before waiting. Otherwise a later stop that waits less could get the smaller number.
     draft = files.begin(folder)
     try:
         if not _wait(words, int(words["until_ns"])) and live:
@@ -98,13 +101,13 @@ def save(words: dict[str, str]) -> dict[str, Any]:
 
 
 def _wait(words: dict[str, str], until_ns: int) -> bool:
-    """Until it is time; True when the supervisor ends before that."""
+    """Wait until this time. Returns True if the supervisor ends before."""
     left_s = (until_ns - time.monotonic_ns()) * 1e-9
     return left_s > 0 and bool(select.select((int(words["hurry"]),), (), (), left_s)[0])
 
 
 def _wait_for_port(words: dict[str, str], fd: int) -> None:
-    """While the port is lost; once it is back, as long again as after any stop."""
+    """If the port is lost, wait until it is back. Then wait as long as after any other stop."""
     cause_ns, lost = int(words["cause_ns"]), False
     while _is_lost(words["name"], fd):
         now_ns = time.monotonic_ns()
@@ -121,14 +124,14 @@ def _is_lost(name: str, fd: int) -> bool:
 
 
 def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segments: memory.Segments) -> dict[str, Any]:
-    """The part that a list of incidents shows, and a newer version can always read."""
+    """The head of the file: everything that a list of incidents shows. Every newer version of failstop can read it."""
     cause_ns, epoch, why = cause
     now_s, release = time.time(), os.uname()
-    # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
+    # All times in the file use this offset. If the wall clock was set since the stop, they are wrong by that much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
     stop = memory.logged_stop(segments, cause_ns)
     if not stop or stop["written_us"] is None:
-        # Perhaps it was written later than the supervisor knew.
+        # The stop may have been written after the supervisor's record.
         stop = (stop or {}) | memory.left_stop(segments, cause_ns) or None
     return {
         "name": name,
@@ -154,14 +157,14 @@ def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segment
 
 
 def slug(cause: Cause) -> str:
-    """A cause as part of a file name: the process that it is about, where there is one, and the name of its row."""
+    """The cause as a part of a file name. If the cause is about a process, the process's name comes first."""
     process = cause.named().get("process")
     about = f"{process}-" if process in layout.PROCESS_NAMES else ""
     return f"{about}{cause.kind.name}".replace("_", "-")
 
 
 def machine() -> dict[str, Any]:
-    """How busy the machine was, as far as the unit's ProcSubset=pid lets it be known."""
+    """How busy the computer is. The unit's ProcSubset=pid may hide a part of this."""
     found: dict[str, Any] = {"cores": os.cpu_count()}
     with contextlib.suppress(OSError):
         found["load"] = " ".join(f"{load:.2f}" for load in os.getloadavg())

@@ -1,5 +1,5 @@
-"""The story: what happened around a stop, as lines in the order of time, what is alike told once; and of these lines
-those that say at a glance what led to it and what came of it. Pure."""
+"""Story: tells what happened around a stop, as lines in the order of time. Repeated events share a line. brief() picks
+the lines that show at a glance what led to the stop and what followed. Pure."""
 
 from __future__ import annotations
 
@@ -20,45 +20,51 @@ if TYPE_CHECKING:
 Entry = TypeVar("Entry")
 CAUSE = "CAUSE"
 PAUSE_NS = 1_000_000_000
-"""What repeats is one line until it pauses for longer than this: another drive, or another stop, is another line."""
+"""After a pause longer than this, a repeated event gets a new line, because it is then another drive or another
+stop."""
 NO_NEWS = frozenset(
     ("stop_outcome", "stop_also", "incident", "restarting", "gyro", "charger", "ready", "link", "battery", "stopping")
 )
-"""Events that the facts have already, or that are of no use for the question why."""
+"""Kinds of events that brief() leaves out, because the facts above the story have them already, or because they don't
+help to explain the stop."""
 FRAMES = {
     WriteSort.ZERO: "zero frames",
     WriteSort.ARM: "frames for the arm",
     WriteSort.PING: "pings, which the board answers",
     WriteSort.REST: "the rest of what the port had not taken",
 }
-"""Sorts of which one is like another."""
+"""The text for kinds of writes whose frames need not be told apart."""
 MOST_LINES = 10
-"""At a glance: with the facts above them they fit a terminal of 24 lines."""
+"""How many lines brief() returns. With the facts above them, they fit a terminal of 24 lines."""
 BEGINNINGS = ("reset", "ready")
-"""Events before the last of these belong to an earlier stop."""
+"""Kinds of events that begin a new chapter. Whatever ended before the last of these events belongs to an earlier
+stop."""
 KEPT = ("enabled", "command")
-"""The newest of each before the cause is never left out: which program enabled motion, and which one drove."""
+"""The newest line of each of these kinds before the cause is always in brief(). They show which program enabled motion,
+and which program drove."""
 LESSER = ("gate", "command")
-"""The first to make room: the facts have the most of it."""
+"""Kinds of lines that brief() drops first, because the facts have most of their content."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line. `what` is who speaks: command, gate, arm, wire, board, beat, event kinds, cause, CAUSE."""
+    """One line of the story. `what` is its subject: command, gate, arm, wire, board, wheels, beat, the kind of an
+    event, cause, or CAUSE for the cause of this incident."""
 
     ns: int
     what: str
     text: str
-    """The event. If several alike are one line: the last of them."""
+    """What happened. If the line stands for several similar events, this describes the last one."""
     until_ns: int = 0
-    """When what began at `ns` was last seen; 0: it was a moment."""
+    """When something that began at `ns` was last seen. 0 if it was only a moment."""
     count: int = 1
     routine: bool = False
-    """It leads nowhere, or the facts have it already: at a glance nobody misses it."""
+    """True if brief() may leave the line out, because it explains nothing or because the facts have it already."""
 
 
 def whole(incident: Incident) -> list[Line]:
-    """Every line, in order; what was at the same time in the order of the stop's way."""
+    """All lines, in the order of time. Lines with the same time are in the order in which a stop passes through the
+    system."""
     lines = [
         *_commands(incident),
         *_decisions(incident),
@@ -74,7 +80,8 @@ def whole(incident: Incident) -> list[Line]:
 
 
 def brief(incident: Incident) -> list[Line]:
-    """The lines that matter: the nearest to the cause, in order, and none of what was over before the last reset."""
+    """The most important lines, in the order of time. These are the lines closest to the cause, without anything that
+    ended before the last reset."""
     lines, cause_ns = whole(incident), incident.cause_ns
     begun_ns = max((line.ns for line in lines if line.what in BEGINNINGS and line.ns < cause_ns), default=0)
 
@@ -89,7 +96,7 @@ def brief(incident: Incident) -> list[Line]:
 
 
 def _unbroken(entries: list[Entry], at_ns: Callable[[Entry], int]) -> Iterator[list[Entry]]:
-    """Entries in the order of time, as runs without a pause."""
+    """Split entries, which must be in the order of time, at each pause longer than PAUSE_NS."""
     run: list[Entry] = []
     for entry in entries:
         if run and at_ns(entry) - at_ns(run[-1]) > PAUSE_NS:
@@ -101,7 +108,7 @@ def _unbroken(entries: list[Entry], at_ns: Callable[[Entry], int]) -> Iterator[l
 
 
 def _commands(incident: Incident) -> Iterator[Line]:
-    """Commands and their sources, before the cause and after it."""
+    """The commands of each source, before the cause and after it."""
 
     def key(tick: Tick) -> tuple[str, str, bool, bool]:
         return tick.who, tick.source, tick.manual, tick.ns >= incident.cause_ns
@@ -116,7 +123,7 @@ def _commands(incident: Incident) -> Iterator[Line]:
 
 
 def _decisions(incident: Incident) -> Iterator[Line]:
-    """Each time the gate decided otherwise, or nothing."""
+    """A line for each new decision of the gate, and for each time in which it was silent."""
     for what, begin_ns, end_ns in incident.gate_spans():
         said = "lets the wheels turn" if what == DRIVING else f"blocks: {SAYS.get(what, what)}"
         silent = f"no tick for {(end_ns - begin_ns) / 1e6:.0f} ms from here"
@@ -124,7 +131,7 @@ def _decisions(incident: Incident) -> Iterator[Line]:
 
 
 def _arm(incident: Incident) -> Iterator[Line]:
-    """For whom it moved, and where it was to be."""
+    """Who moved the arm, and where to."""
     for _, group in groupby(incident.arm_goals, lambda goal: goal[1][:2]):
         for run in _unbroken(list(group), lambda goal: goal[0]):
             until_ns, (mode, who, aims) = run[-1]
@@ -135,7 +142,8 @@ def _arm(incident: Incident) -> Iterator[Line]:
 
 
 def _writes(incident: Incident) -> Iterator[Line]:
-    """Writes to the board, by their sort. At a glance, what came after the cause, and what the port did not take."""
+    """The writes to the board, by kind. In brief() only those after the cause appear, and those that the port did not
+    take completely."""
 
     def key(numbered: tuple[int, PortWrite]) -> tuple[str, int, str, bool, bool]:
         drive, write = numbered
@@ -143,7 +151,7 @@ def _writes(incident: Incident) -> Iterator[Line]:
 
     for _, group in groupby(sorted(_by_drive(incident.writes), key=key), key):
         writes = [write for _, write in group]
-        # Zeros and pings go out all the time, so a pause between them ends nothing.
+        # Zeros and pings are sent all the time, so a pause does not split them.
         usual = writes[0].sort in (WriteSort.ZERO, WriteSort.PING)
         for run in [writes] if usual else _unbroken(writes, lambda write: write.ns):
             first, last = run[0], run[-1]
@@ -154,8 +162,8 @@ def _writes(incident: Incident) -> Iterator[Line]:
 
 
 def _by_drive(writes: list[PortWrite]) -> Iterator[tuple[int, PortWrite]]:
-    """Motion frames and bursts with the number of their drive, which ends with the first write that tells the wheels to
-    stop; 0 for the others."""
+    """Number the motion frames and stop bursts by the drive to which they belong. A drive ends with the first write
+    that stops the wheels. All other writes get 0."""
     drive, moves = 0, False
     for write in writes:
         if write.sort == WriteSort.MOTION:
@@ -174,7 +182,7 @@ def _written(write: PortWrite) -> str:
 
 
 def _board(incident: Incident) -> Iterator[Line]:
-    """Its silences."""
+    """The times in which the board was silent."""
     times = [ns for ns, _ in incident.received] or [sample.t_ns for sample in incident.imu]
     for earlier, later in pairwise([*times, incident.span_ns[1]] if times else ()):
         lost = any(earlier < since_ns <= later for since_ns in incident.received_from_ns)
@@ -183,7 +191,8 @@ def _board(incident: Incident) -> Iterator[Line]:
 
 
 def _wheels(incident: Incident) -> Iterator[Line]:
-    """Each time the board's reports said that they turn, or are still; and the gaps in which it reported nothing."""
+    """A line for each time that the board reported turning or still wheels, and for each gap in which it reported
+    nothing."""
     spans = incident.rolled()
     for turn, begin_ns, end_ns, fastest_rps, count in spans:
         said = f"seen turning, max {fastest_rps:.2f} turns/s" if turn else "seen still"
@@ -195,7 +204,7 @@ def _wheels(incident: Incident) -> Iterator[Line]:
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
-    """A line for each silence of a process. If the run has ended, also one for each process's last sign of life."""
+    """A line for each silence of a process. If the run has ended, also a line for each process's last sign of life."""
     for process, since_ns, until_ns in incident.silences():
         said = f"last beat of the {named(process)} for {(until_ns - since_ns) / 1e6:.0f} ms"
         yield Line(since_ns, "beat", said, until_ns)
@@ -205,9 +214,9 @@ def _silences(incident: Incident) -> Iterator[Line]:
 
 
 def _events(incident: Incident) -> Iterator[Line]:
-    """Events; and of a run that has ended, the causes that nobody was there to tell of."""
+    """The logged events. If the run has ended, also the causes that nobody was left to log."""
     for event in incident.events:
-        # Of the stop itself the facts tell.
+        # The facts already show the event of this stop.
         own = event.fields.get("cause") == incident.cause.kind.name and event.ns >= incident.cause_ns
         routine = own if event.kind == "stop" else event.kind in NO_NEWS
         mark = "! " * (event.level in ("error", "critical"))
@@ -218,8 +227,8 @@ def _events(incident: Incident) -> Iterator[Line]:
 
 
 def _ended(incident: Incident, cause: Cause) -> str:
-    """What to say of a process that the kernel ends when the supervisor dies, as it does by design; empty: the cause is
-    another one."""
+    """The text for a process that the kernel ended because the supervisor died, which is by design. Empty for any other
+    cause."""
     process = PROCESS_BY_NAME.get(str(cause.named().get("process")))
     by_design = process and not process.outlives_supervisor and cause.kind is causes.DIED
     if not by_design or incident.cause != causes.DIED(layout.SUPERVISOR):
@@ -228,7 +237,7 @@ def _ended(incident: Incident, cause: Cause) -> str:
 
 
 def as_dict(incident: Incident) -> dict[str, Any]:
-    """For programs: the head, the whole story, the machine, and every setting."""
+    """The incident for programs: its head, the whole story, the ages of readings, the machine, and all settings."""
     lines = [
         {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
         for line in whole(incident)
