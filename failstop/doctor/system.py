@@ -119,7 +119,8 @@ class System:
     def ports(self, own: Collection[str]) -> list[tuple[str, str]]:
         """(path, description) of each serial port. Ports whose vendor:product is in `own` come first, then other USB
         devices, then the rest."""
-        from serial.tools import list_ports  # import it only here: it is slow, and the stop tool imports this module too
+        # Import it only here, because it is slow, and the stop tool imports this module too.
+        from serial.tools import list_ports
 
         found = []
         for port in list_ports.comports():

@@ -5,7 +5,7 @@ A file's name is NUMBER-DATE-TIME-CAUSE.incident. A saver takes the next number 
 else. So the numbers show the order of the stops even if the wall clock is wrong. Older versions of failstop wrote no
 numbers. Their files count as older than all files with a number.
 
-    "failstop incident\n" | format u16, 0 u16 | length u32, crc32 u32 of the head | the same of the body | head | body
+    "failstop incident\\n" | format u16, 0 u16 | length u32, crc32 u32 of the head | the same of the body | head | body
 
 The head is a small msgpack map with everything that a list of incidents needs. The body is a msgpack map too,
 compressed with zlib. Numbers are little-endian.

@@ -1,9 +1,9 @@
-"""The ROS 2 bridge: a client of the service like any other, which lets the robot's ROS nodes drive through it.
+"""The ROS 2 bridge: lets the robot's ROS nodes drive through the service. It is a client of the service like any other.
 
-contract.py: every topic, service and parameter, as data. commanders.py, scan.py: who may command, and what is heard of
-the obstacle sensor. messages.py, report.py, diagnostics.py, words.py, mirrors.py: what is told, as plain data.
-transport.py: the way that it takes. All of these are pure. link.py, inward.py, outward.py, bridge.py: the shell around
-them, which alone knows rclpy.
+contract.py declares every topic, service and parameter as data. commanders.py decides who may command, and scan.py
+watches the obstacle sensor. messages.py, report.py, diagnostics.py, words.py and mirrors.py make the content of
+messages as plain data. transport.py chooses the transport of DDS. These modules are all pure. link.py, inward.py,
+outward.py and bridge.py connect them to ROS, and so do the modules of the arm's topics and action.
 
-It uses Robot and State and nothing below them, so whatever becomes of it costs its own commands and no more.
+The bridge uses only Robot and State of the API. So if the bridge fails, only the commands that it sent are lost.
 """

@@ -1,29 +1,30 @@
-"""Alive: whether the node that has sent a goal is seen to live. Pure: the time is an argument.
+"""Alive: finds out whether the node that sent a goal is still alive. Pure: the time is an argument.
 
-DDS counts a killed process for up to 20 s (Fast DDS), and a stopped one for as long. What a living process does at
-once is to acknowledge what it is sent reliably; a client of an action is sent feedback.
+DDS (Fast DDS) lists a killed process for up to 20 s, and a suspended one as long. But a live process acknowledges
+reliable messages at once, and the client of an action receives feedback. So missing acknowledgements show that the
+sender is gone.
 """
 
 from __future__ import annotations
 
 DISCOVERY_NS = 1_000_000_000
-"""By then the ends of a node that has sent a goal are known here."""
+"""How long it takes at most until DDS has discovered the node that sent a goal."""
 LEAST_NS = 300_000_000
-"""Feedback is sent each 100 ms, and what is lost once is no death."""
+"""The shortest timeout. Feedback is sent every 100 ms, and one lost message must not count as a death."""
 
 
 class Alive:
-    """One sender, from when its goal came."""
+    """Watches the sender of one goal, starting when the goal arrives."""
 
     def __init__(self, now_ns: int, timeout_s: float) -> None:
         self._timeout_ns = max(round(timeout_s * 1e9), LEAST_NS)
         self._until_ns = now_ns + DISCOVERY_NS
         self._met = False
-        """It was seen at least once."""
+        """True after the sender was seen once."""
 
     def look(self, heard: int, acknowledged: bool, now_ns: int) -> str:
-        """Why the sender counts as gone; empty: it does not. `heard`: how many nodes hear reliably what it should hear;
-        `acknowledged`: each of them has acknowledged all that it was sent."""
+        """Why the sender counts as gone. Empty if it does not. `heard`: how many nodes receive the feedback reliably.
+        `acknowledged`: True if each of these nodes has acknowledged everything."""
         if heard and acknowledged:
             self._until_ns, self._met = now_ns + self._timeout_ns, True
         elif not heard and self._met:
@@ -36,7 +37,8 @@ class Alive:
 
 
 class Unwatched:
-    """A sender of which only its publisher is known: how long its path may take, and whether the publisher is there."""
+    """Watches a sender that acknowledges nothing, so that only its publisher can be seen. Its path must therefore be
+    short."""
 
     def __init__(self, now_ns: int, most_s: float) -> None:
         self._begun_ns = now_ns
@@ -44,7 +46,7 @@ class Unwatched:
         self._met = False
 
     def look(self, publishers: int, now_ns: int) -> str:
-        """Why its path is to end now; empty: it goes on."""
+        """Why the path must end now. Empty if it may go on. `publishers`: how many publishers the topic has."""
         age_ns = now_ns - self._begun_ns
         if publishers:
             self._met = True

@@ -1,7 +1,8 @@
-"""The arm in ROS 2: goals, poses, hold and release. A thread of its own sends each request to the service.
+"""The arm in ROS 2: goals, poses, hold and release. Each request is sent to the service in its own thread.
 
-The arm takes seconds to answer. The executor has only one thread, which also serves the bridge's interlock and
-commands, so nothing here may wait in it: a job runs next to it, and the caller gets the answer when the job has ended.
+The arm takes seconds to answer. The executor has only one thread, which also serves the bridge's interlock and its
+commands, so no callback may wait there. So a job waits for the arm in another thread, and the caller gets the answer
+when the job has ended.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ END_S = 1.0
 
 
 class ArmFace:
-    """Its subscription, publisher and services."""
+    """The arm's topics, services and action."""
 
     def __init__(
         self,
@@ -44,38 +45,39 @@ class ArmFace:
         stamps: Stamps,
         waited_ns: Callable[[], int],
     ) -> None:
-        """`link`: the executor's connection, for requests that take no time; `waited_ns`: how long the current message
-        has waited for its callback."""
+        """`link`: the executor's connection, for requests that take no time. `waited_ns`: returns how long the current
+        message has waited for its callback."""
         self._node = node
         self._link = link
         self._shared = shared
         self._stamps = stamps
         self._asking = RobotLink(link.name)
-        """The connection of the jobs, which all move the arm as one client."""
+        """The connection of the jobs. They share it, so that they move the arm as one client."""
         self._newest = 0
-        """The number of the newest request. A job that has not begun when a later request comes does nothing."""
+        """The number of the newest request. A job does nothing if a later request arrived before it began."""
         self._holds: list[Job] = []
-        """Holds that must end with the arm held, or else latch a stop."""
+        """Jobs that hold the arm. If one of them fails, a stop is latched."""
         self._goal_job: Job | None = None
         self._sender: Unwatched | None = None
-        """The sender of the topic's goal that the arm is moving to; None once the arm is held."""
+        """The sender of the goal from the topic to which the arm is moving. None once the arm is held."""
         self._way_job: Job | None = None
         """The job of the action's goal."""
         self._waited_ns = waited_ns
         self.goal_timeout_s = 0.5
-        """A goal older than this starts nothing (arm.goal_timeout_s)."""
+        """A goal older than this starts nothing, s (setting arm.goal_timeout_s)."""
         self.unwatched_s = 3.0
-        """The longest that a goal of the topic may take (arm.unwatched_s)."""
+        """The longest allowed duration of a goal from the topic, s (setting arm.unwatched_s)."""
         self._turned_ns = monotonic_ns()
         self._since_ns = 0
-        """Goals from before this time may have waited in the kernel for `_away_ns`, while this node did not run."""
+        """Goals that arrived before this time may have waited in the kernel for `_away_ns`, because this node did not
+        run."""
         self._away_ns = 0
         self._busy_ns = 0
         self._asking_stop = Asking()
         kind = type_of(ARM_BUSY.type)
         self._busy, self._message = node.create_publisher(kind, ARM_BUSY.name, qos(ARM_BUSY.qos)), kind()
         self._topic = self._subscribe(qos(ARM_GOAL.qos))
-        """The full name of the topic of goals; empty if it can't be subscribed to."""
+        """The full name of the topic of goals. Empty if the topic can't be subscribed to."""
         self._offer_services(group)
         self._action = self._offer_action(group)
 
@@ -93,7 +95,7 @@ class ArmFace:
             self._node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
 
     def _offer_action(self, group: Any) -> TrajectoryFace | None:
-        """The action; None if this ROS lacks its type."""
+        """The action's server. None if this ROS lacks the action's type."""
         try:
             return TrajectoryFace(self._node, group, self._shared, self.go, self.hold_way, lambda: self.goal_timeout_s)
         except FailstopError as error:
@@ -102,12 +104,13 @@ class ArmFace:
             return None
 
     def give_up(self) -> int:
-        """Drop requests that have not begun. Returns the number of the new one."""
+        """Drop requests that have not begun yet. Returns the number for a new request."""
         self._newest += 1
         return self._newest
 
     def begin(self, act: Callable[[Robot], Any]) -> Job:
-        """Send the service a request that takes time, which replaces the one before."""
+        """Send the service a request that takes time, in a job. It replaces an earlier request that has not begun
+        yet."""
         if act in (_read, _release):
             return Job(self._asking, act)
         number = self.give_up()
@@ -121,7 +124,8 @@ class ArmFace:
         return Job(self._link, act, at_once=True) if act is _hold else Job(self._asking, newest)
 
     def go(self, path: Way, told: Callable[[str], None]) -> Job:
-        """Move to the action's goal, one at a time. Raises Refused."""
+        """Begin to move to a goal of the action. Only one goal can be active at a time. Raises Refused. `told` is
+        called with the progress."""
         if old := self._old():
             raise Refused(old)
         if cause := self.rivals():
@@ -135,7 +139,7 @@ class ArmFace:
         return any(job and not job() for job in (self._goal_job, self._way_job))
 
     def hold_way(self) -> None:
-        """Hold the arm, if the action still moves it."""
+        """Hold the arm if the action's goal is still moving it."""
         if self._way_job and not self._way_job():
             self._hold_now()
 
@@ -156,8 +160,8 @@ class ArmFace:
         return answer
 
     def poll(self, now_ns: int) -> None:
-        """Call with every turn of the watch: publish whether the arm moves, look for other senders of goals, and log
-        how the last goal ended."""
+        """Publish whether the arm moves, look for other publishers of goals, and log how the last goal ended. Call it
+        whenever the watch runs."""
         self._turned(now_ns)
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
@@ -178,14 +182,15 @@ class ArmFace:
                 self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _turned(self, now_ns: int) -> None:
-        """Record that this node runs. If it was held up for longer than a goal's timeout, the goals it finds count as
-        old, because nobody knows how long they have waited in the kernel."""
+        """Record that this node runs. If it did not run for longer than a goal's timeout, goals that wait for it count
+        as old, because nobody knows how long they have waited in the kernel."""
         if now_ns - self._turned_ns > self.goal_timeout_s * 1e9:
             self._since_ns, self._away_ns = now_ns + FRESH_NS, now_ns - self._turned_ns
         self._turned_ns = now_ns
 
     def _old(self, waited_ns: int = 0) -> str:
-        """Why the current goal, which has waited at least `waited_ns`, starts nothing; empty if it is young enough."""
+        """Why the current goal is too old to start anything. Empty if it is not. `waited_ns`: how long it has waited at
+        least."""
         now_ns = monotonic_ns()
         self._turned(now_ns)
         if now_ns - waited_ns < self._since_ns:
@@ -193,7 +198,7 @@ class ArmFace:
         return words.waited(waited_ns / 1e9) if waited_ns > self.goal_timeout_s * 1e9 else ""
 
     def _watch_sender(self, now_ns: int) -> None:
-        """Hold the arm if the sender of the topic's goal is not seen to be alive."""
+        """Hold the arm if the sender of its goal is no longer alive."""
         if self._sender is None or self._goal_job is None or self._goal_job():
             self._sender = None
         elif gone := self._sender.look(self._node.count_publishers(self._topic), now_ns):
@@ -202,7 +207,7 @@ class ArmFace:
             self._hold_now()
 
     def rivals(self) -> str:
-        """If more than one node publishes goals, ask for a stop and return its cause; else empty."""
+        """If more than one node publishes goals, request a stop and return its cause. Otherwise return ""."""
         cause = ""
         if self._topic and self._node.count_publishers(self._topic) > 1:
             cause = rivals(causes.ROS_ARM_PUBLISHERS, sorted(publishers(self._node, self._topic)))
@@ -220,12 +225,12 @@ class ArmFace:
             self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _late(self, stamp: Any) -> str:
-        """Why a goal is refused for its stamp; empty if it is not."""
+        """Why a goal is refused because of its stamp. Empty if it is not."""
         who = names(publishers(self._node, self._topic))
         return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
 
     def _accept_goal(self, message: Any) -> None:
-        """Raises FailstopError."""
+        """Start the arm's goal, or hold the arm if the goal has no points. Raises FailstopError."""
         if not message.points:
             self._goal_job = self.begin(_hold)
             return
@@ -240,7 +245,7 @@ class ArmFace:
         self._goal_job = self.begin(lambda robot: robot.arm.move(path))
 
     def close(self) -> None:
-        """Close the connection, which holds the arm if it was moving."""
+        """Close the connection. The arm is then held if it was moving."""
         self._asking.close()
         if self._action:
             self._action.close()

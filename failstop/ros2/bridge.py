@@ -1,4 +1,4 @@
-"""The bridge: the node, its parameters, its two threads, and how it begins and ends."""
+"""The bridge: its node, its parameters, its two threads, and how it starts and ends."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from failstop.ros2.spinner import Spinner
 from failstop.shm import futex
 
 CONNECT_S = 1.0
-"""How long the start waits for a service, whose settings the parameters show."""
+"""How long to wait at the start for a service, s. Its settings are shown as parameters."""
 POLL_S = 0.05
 
 
 class Bridge:
-    """Everything that there is while it runs."""
+    """The running bridge."""
 
     def __init__(self, rclpy: Any, name: str) -> None:
-        """`rclpy`: initialised. Raises FailstopError for parameters that make no sense."""
+        """`rclpy`: the module, after rclpy.init(). Raises FailstopError if a parameter has a value that is not
+        allowed."""
         from rclpy.callback_groups import ReentrantCallbackGroup
 
         self._rclpy = rclpy
@@ -45,7 +46,7 @@ class Bridge:
         self._outward = Outward(self._node, _profile, self._links[0], self._shared, self._inward.graph, own)
 
     def _declare(self) -> dict[str, Any]:
-        """Declare every parameter; returns the bridge's own."""
+        """Declare every parameter. Returns the values of the bridge's own parameters."""
         from rcl_interfaces.msg import ParameterDescriptor
         from rclpy.exceptions import InvalidParameterTypeException
 
@@ -68,7 +69,7 @@ class Bridge:
         return own
 
     def _settings(self) -> mirrors.RobotSettings:
-        """The service's settings; the defaults while there is no service."""
+        """The service's settings. If no service answers in time, their defaults."""
         until_s = monotonic() + CONNECT_S
         while True:
             try:
@@ -80,7 +81,8 @@ class Bridge:
             sleep(POLL_S)
 
     def _show(self, shown: dict[str, mirrors.ParameterValue]) -> None:
-        """Set the mirrors, and tell of each that somebody wants otherwise."""
+        """Set the parameters that show settings. Log a warning for each parameter for which somebody has given another
+        value."""
         from rclpy.parameter import Parameter
 
         self._shown = shown
@@ -95,18 +97,18 @@ class Bridge:
 
         if self._own or not parameters:
             return SetParametersResult(successful=True)
-        # Parameters of rclpy's own, such as use_sim_time, are nobody's business here.
+        # rclpy's own parameters, such as use_sim_time, may be set.
         known = [found.name for found in parameters if found.name in self._shown or _is_own(found.name)]
         if not known:
             return SetParametersResult(successful=True)
         return SetParametersResult(successful=False, reason=mirrors.refusal(known[0]))
 
     def run(self) -> None:
-        """Until a signal, or the end of the ROS context."""
+        """Run until a signal arrives or the ROS context ends."""
         from rclpy.executors import ExternalShutdownException
 
         spinner = Spinner(self._node, self._inward.received)
-        # Objects made so far stay: the collector need not go through rclpy again and again.
+        # The objects made so far stay, so the garbage collector need not visit them again and again.
         gc.collect()
         gc.freeze()
         self._outward.start()
@@ -122,7 +124,7 @@ class Bridge:
             failed = error
             raise
         finally:
-            # First its claim: what it commanded ends with it.
+            # Close this connection first, because the bridge's commands end with it.
             self._links[1].close(failed or self._shared.failed)
             if self._inward.arm:
                 self._inward.arm.close()
@@ -133,7 +135,7 @@ class Bridge:
             raise self._shared.failed
 
     def _mirror_settings(self) -> None:
-        """A service that was started anew may have other settings."""
+        """Update the parameters that show settings, because a restarted service may have other settings."""
         if self._mirrored != self._shared.run and self._shared.settings is not None:
             self._mirrored = self._shared.run
             shown = mirrors.values(self._shared.settings)
@@ -141,7 +143,7 @@ class Bridge:
                 self._show(shown)
 
     def end(self, _number: int, _frame: object) -> None:
-        """Signal handler: end at the next turn, which comes within 50 ms."""
+        """The signal handler: end at the next turn of the loop, which comes within 50 ms."""
         self._shared.ending = True
 
 
@@ -162,7 +164,7 @@ def _checked(setting: Parameter, value: Any) -> Any:
 
 
 def _profile(qos: Qos) -> Any:
-    """A contract's Qos as rclpy has it."""
+    """A Qos of contract.py as rclpy's QoSProfile."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     return QoSProfile(
@@ -174,7 +176,7 @@ def _profile(qos: Qos) -> Any:
 
 
 def main(name: str, ros_arguments: Sequence[str]) -> int:
-    """Run the bridge to the service of that name. Raises FailstopError."""
+    """Run the bridge for the service of this name. Returns the exit code. Raises FailstopError."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

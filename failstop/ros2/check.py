@@ -1,4 +1,4 @@
-"""Check: what `failstop doctor` says of the bridge."""
+"""The doctor's check of the ROS 2 bridge."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from failstop.doctor.system import SHM
 from failstop.ros2.contract import CLIENT
 
 FAST_DDS = ("fastrtps_", "fastdds_")
-"""The beginnings of the files that Fast DDS 2 and 3 make in /dev/shm for each process that uses its shared memory, and
-that belong to its user (SHM_MANAGER_DOMAIN of SharedMemTransport.cpp)."""
+"""How the names of Fast DDS's files in /dev/shm begin, for its versions 2 and 3. Each process that uses its shared
+memory makes such files, and they belong to the process's user (SHM_MANAGER_DOMAIN of SharedMemTransport.cpp)."""
 
 ADVICE = (
     "or start it without a Fast DDS profile of your own, and without ROS_STATIC_PEERS where "
@@ -18,8 +18,8 @@ ROOT = "root can read them"
 
 
 def check(look: Look) -> list[Finding]:
-    """The bridge to ROS 2, and whether it can hear the robot's nodes: two users can't exchange data by shared memory,
-    so this looks for Fast DDS's in the bridge's memory maps."""
+    """Check whether the bridge can hear the robot's nodes. Two users can't exchange data by Fast DDS's shared memory,
+    so this looks for that memory in the bridge's memory maps."""
     system = look.system
     pid = next((client.pid for client in look.state.clients if client.name == CLIENT), 0) if look.state else 0
     if not pid:

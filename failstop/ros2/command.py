@@ -1,4 +1,4 @@
-"""`failstop ros2`: the bridge to ROS 2, in the foreground."""
+"""`failstop ros2`: runs the bridge to ROS 2 in the foreground."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
 
 
 class NoRos(FailstopError):
-    """This Python has no rclpy; the message names the file to source."""
+    """This Python can't import rclpy. The message names the file to source."""
 
     exit_code = INCOMPLETE
     """Exit code of a command that fails with this error."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of `failstop ros2`."""
+    """Add the options of `failstop ros2` to its parser."""
     add_name(parser)
     words = "arguments for ROS 2: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ..."
     parser.add_argument("--ros-args", nargs=REMAINDER, default=[], metavar="ARG", help=words)
 
 
 def main(arguments: Namespace) -> int:
-    """Run the bridge; raises NoRos where there is no rclpy."""
+    """Run the bridge. Raises NoRos if rclpy can't be imported."""
     transport.udp_alone(os.environ)
     find_rclpy()
     from failstop.ros2 import bridge
@@ -44,7 +44,8 @@ def main(arguments: Namespace) -> int:
 
 
 def find_rclpy() -> None:
-    """Make rclpy importable; the installed command ignores PYTHONPATH, which is how ROS is found. Raises NoRos."""
+    """Make rclpy importable. ROS puts its packages into PYTHONPATH, which the installed command ignores. Raises
+    NoRos."""
     known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     sys.path += [path for path in known if os.path.isabs(path) and path not in sys.path]
     try:

@@ -1,10 +1,14 @@
-"""Commanders: who publishes cmd_vel, and whether a command may be passed on. Pure: graph and time are arguments.
+"""Commanders: which nodes publish cmd_vel, and whether a command may be passed on. Pure: the graph and the time are
+arguments.
 
-The graph is what DDS knows: a publisher of any type and any quality counts in it, matched or not; one that was killed
-counts for up to 20 s after its death. It is asked before every command, and 50 times a second for publishers that are
-silent: between two looks, commands of a second one would pass (36 of 48 tries at a look each 20 ms, measured). And what
-is called back now may have waited: on an overloaded machine, commands were taken 0.1 to 0.7 s after they came, when who
-had sent them was gone (66 of 400 tries, measured). So what counts is who published when a command was received.
+The graph is DDS's list of publishers. It contains each publisher of a topic, whatever its type and quality, and also a
+publisher that was killed up to 20 s ago. The graph is read before every command. It is also read 50 times a second, to
+notice publishers that are silent. A look only every 20 ms would not be enough, because commands of a second publisher
+would pass in between (36 of 48 tries, measured).
+
+On an overloaded machine a command may wait in a queue, and its publisher may have gone when the bridge reads it. This
+was measured in 66 of 400 tries, with delays of 0.1 to 0.7 s. So a command is judged by who published when it was
+received.
 """
 
 from __future__ import annotations
@@ -16,15 +20,17 @@ from failstop.policy import causes
 from failstop.policy.causes import NOT_KNOWN, Kind
 
 FRESH_NS = 100_000_000
-"""How long a look at the graph, or a sensor's word, is good for."""
+"""How long a look at the graph, or a message of a sensor, stays valid."""
 GONE_NS = 300_000_000
-"""The commands of one that has gone are received by then: DDS's own threads may be late too."""
+"""How long after a publisher has gone its commands may still arrive, because DDS's threads may also be late."""
 AGAIN_NS = 500_000_000
-"""The time between two looks at the publishers, even if their number stays: one may have taken another's place."""
+"""How often to look who publishes even if the number of publishers stays the same, because one may have replaced
+another."""
 NAMELESS_NS = 2_000_000_000
-"""A publisher's node name may come later than the publisher; longer than this, it counts as having none."""
+"""How long to wait for the node name of a publisher, which may become known later than the publisher. After that, the
+publisher counts as one without a name."""
 STOP_AGAIN_NS = 500_000_000
-"""A stop that was asked for and is not latched is asked for again."""
+"""After this time a requested stop that is still not latched is requested again."""
 WINDOW_NS = 5_000_000_000
 NAMELESS = f"a node whose name is {NOT_KNOWN}"
 DEAD_ONE = "one of them may be a dead process, which DDS counts for up to 20 s"
@@ -32,7 +38,7 @@ LONGEST_NAMES = 150
 
 
 class Publisher(NamedTuple):
-    """One publisher in the graph. `node`: /namespace/name; empty: not known yet."""
+    """One publisher in the graph. `node` is /namespace/name, or empty if the name is not known yet."""
 
     node: str
     type: str
@@ -40,24 +46,27 @@ class Publisher(NamedTuple):
 
 
 def waited_ns(received_ns: int, wall_ns: int) -> int:
-    """How long a message waited in its queue. `received_ns`: when DDS had it, `wall_ns`: now, both of the wall clock.
-    Where DDS does not say (0), or the clock was set back meanwhile, it is FRESH_NS."""
+    """How long a message has waited in its queue, ns. `received_ns`: when DDS received it. `wall_ns`: now. Both are
+    wall clock times. If DDS does not say when (0), or if the clock was set back meanwhile, the result is FRESH_NS."""
     return wall_ns - received_ns if 0 < received_ns <= wall_ns else FRESH_NS
 
 
 class Lag:
-    """How much later than its quickest one a message came, by the clock of who sent it, which need not agree with
-    this one. DDS sends again what was lost, seconds later, and that counts as just received then."""
+    """Measures how much later than usual a message arrived. DDS sends a lost message again, maybe seconds later, and
+    shows it as just received. So the time when it was sent must be compared. That time is of the sender's clock, which
+    may differ from this computer's clock. So the delay of the sender's quickest recent message serves as the zero
+    point."""
 
     def __init__(self) -> None:
         self._of: Sequence[Publisher] = ()
         self._begun_ns = self._before_ns = self._least_ns = 0
-        """When this window began; the quickest of the one before it, and of this one."""
+        """When the present window began, the smallest lag of the window before it, and the smallest lag of the present
+        window, ns."""
 
     def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
-        """How much later than usual a message of these publishers came, ns. Each of the two times is of its own
-        computer's wall clock. 0 for the first message, and if DDS does not say when it was sent (`sent_ns` is 0). If a
-        clock steps, messages count as late for two windows at most."""
+        """How much later than usual a message of these publishers arrived, ns. `sent_ns` is of the sender's wall clock,
+        and `received_ns` of this computer's. The result is 0 for the first message, and if DDS does not say when the
+        message was sent (0). If one of the clocks is set, messages may count as late for up to two windows."""
         if not sent_ns:
             return 0
         lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns
@@ -70,15 +79,16 @@ class Lag:
 
 
 class Asking:
-    """When a stop is asked for: at once, again while it is not latched, and once more when the names are known that its
-    cause lacked, which completes the cause."""
+    """Decides when to request a stop. It is requested at once, and again while it is not latched. If the cause lacked
+    the names of nodes, the stop is requested once more when they are known, which completes the cause."""
 
     def __init__(self) -> None:
         self._asked_ns = 0
         self._cause = ""
 
     def due(self, cause: str, latched: bool, now_ns: int) -> bool:
-        """True when a stop with that cause is to be asked for now; empty: there is no reason for one."""
+        """True if a stop with this cause must be requested now. `cause`: why, or "" if there is no reason for a stop.
+        `latched`: True if a stop is latched."""
         if not cause:
             self._asked_ns, self._cause = 0, ""
             return False
@@ -90,7 +100,8 @@ class Asking:
 
 
 class Reason(str):
-    """Why the bridge asks for a stop, in words. `row`: the cause; `given`: its own words, which are sent."""
+    """Why the bridge requests a stop, in words. `row` is the kind of the cause, and `given` is the text that is sent
+    with the request."""
 
     __slots__ = ("given", "row")
     row: Kind
@@ -98,19 +109,19 @@ class Reason(str):
 
 
 def reason(row: Kind, given: str, more: str = "") -> Reason:
-    """A reason; `more`: a remark for the log and for who is refused."""
+    """Make a Reason. `more`: a remark for the log, and for callers whose request is refused."""
     made = Reason(causes.bare(row(given, "", 0)) + more)
     made.row, made.given = row, given
     return made
 
 
 def rivals(row: Kind, publishers: Sequence[Publisher]) -> Reason:
-    """The reason of a stop for several publishers of a topic."""
+    """The reason for a stop because a topic has several publishers."""
     return reason(row, names(publishers), f" ({DEAD_ONE})")
 
 
 def names(publishers: Sequence[Publisher]) -> str:
-    """The nodes that publish."""
+    """The names of the nodes that publish, in one text."""
     nodes = [publisher.node or NAMELESS for publisher in publishers]
     counts = {node: nodes.count(node) for node in nodes}
     text = ", ".join(f"{node} ({count} times)" if count > 1 else node for node, count in counts.items())
@@ -120,34 +131,36 @@ def names(publishers: Sequence[Publisher]) -> str:
 
 
 class Commanders:
-    """The publishers of cmd_vel as last seen."""
+    """Who publishes cmd_vel, as last seen."""
 
     def __init__(self, accepted: Sequence[str], allowed: Sequence[str] = ()) -> None:
-        """`accepted`: types that are taken, the first while nobody publishes; `allowed`: nodes, none: any."""
+        """`accepted`: the message types that are accepted. While nobody publishes, the first one is used. `allowed`:
+        the nodes that may publish. If there are none, all nodes may."""
         self._accepted = tuple(accepted)
         self._allowed = frozenset(name for name in allowed if name)
         self.publishers: tuple[Publisher, ...] = ()
         self.count = 0
         self._counted_ns = 0
         self._good_ns: int | None = None
-        """Since then every look has found one publisher at most, and no stranger; None: the last one did not."""
+        """Since this time every look has found at most one publisher, and none that is not allowed. None if the last
+        look found something else."""
         self._looked_ns = 0
         self._nameless_ns: int | None = None
         self._asking = Asking()
 
     def wants_look(self, count: int, now_ns: int) -> bool:
-        """Whether who publishes is to be looked up now, the number being `count`."""
+        """True if the publishers must be looked up now. `count`: how many there are."""
         stale = now_ns - self._looked_ns >= AGAIN_NS
         return count != self.count or stale or bool(count and (self._allowed or self._nameless()))
 
     def look(self, publishers: Sequence[Publisher], now_ns: int) -> None:
-        """Take the publishers."""
+        """Note the publishers that were found."""
         self.publishers = tuple(publishers)
         self._looked_ns = now_ns
         self._nameless_ns = (self._nameless_ns or now_ns) if self._nameless() else None
 
     def counted(self, count: int, now_ns: int) -> None:
-        """How many publish, by the graph, a moment ago; who they are was looked up, if that was wanted."""
+        """Note how many publishers the graph has just shown. Call look() before, if wants_look() says so."""
         if count > 1 or (self._allowed and not all(self._allows(publisher.node) for publisher in self.publishers)):
             self._good_ns = None
         elif self._good_ns is None:
@@ -161,7 +174,7 @@ class Commanders:
         return any(not publisher.node for publisher in self.publishers)
 
     def cause(self, now_ns: int) -> str:
-        """Why a stop is to be latched now; empty: there is no reason."""
+        """Why a stop must be latched now. Empty if there is no reason."""
         if self.count > 1:
             return rivals(causes.ROS_PUBLISHERS, self.publishers)
         if strangers := self._strangers(now_ns):
@@ -170,7 +183,7 @@ class Commanders:
         return ""
 
     def due(self, cause: str, latched: bool, now_ns: int) -> bool:
-        """As Asking.due()."""
+        """True if a stop with this cause must be requested now. It is decided by Asking.due()."""
         return self._asking.due(cause, latched, now_ns)
 
     def _strangers(self, now_ns: int) -> list[str]:
@@ -184,32 +197,34 @@ class Commanders:
         return node in self._allowed or node.rpartition("/")[2] in self._allowed
 
     def passes(self, received_ns: int) -> bool:
-        """Whether a command that DDS received then (CLOCK_MONOTONIC ns) may be passed on, the graph having been asked
-        since: there was one publisher at most, and no stranger, from before it came until now. One that waited in a
-        queue may be of somebody who has left meanwhile."""
+        """True if a command may be passed on that DDS received at `received_ns` (CLOCK_MONOTONIC). For this, there must
+        have been at most one publisher, and none that is not allowed, from before that time until now. Otherwise the
+        command may be of a node that has left meanwhile. Read the graph before you call this."""
         return self._good_ns is not None and self._good_ns < received_ns
 
     def holds(self, now_ns: int) -> bool:
-        """Whether the bridge's interlock holds: the graph was asked lately, and one at most commands."""
+        """True if the bridge's interlock may be asserted: the graph was read recently, and at most one node
+        commands."""
         return now_ns - self._counted_ns <= FRESH_NS and self._good_ns is not None
 
     def names(self) -> str:
-        """The nodes that publish."""
+        """The names of the nodes that publish cmd_vel, in one text."""
         return names(self.publishers)
 
     def wanted_type(self, now: str) -> str:
-        """The type to subscribe to: the one offered, if it is taken; with nobody there, or with both, what it is
-        now."""
+        """The message type to subscribe to. This is the type that is offered, if it is accepted. If nobody publishes,
+        or if both types are offered, it stays `now`."""
         offered = {publisher.type for publisher in self.publishers} & set(self._accepted)
         return offered.pop() if len(offered) == 1 else now if now in self._accepted else self._accepted[0]
 
     def wrong(self) -> list[str]:
-        """Faults of the publishers that there are, a line each."""
+        """What is wrong with the present publishers, one line for each problem."""
         return wrong_ends("cmd_vel", self.publishers, self._accepted, reliable=True)
 
 
 def wrong_ends(topic: str, publishers: Sequence[Publisher], accepted: Sequence[str], *, reliable: bool) -> list[str]:
-    """Publishers of a topic that are never heard: of another type, or best effort where reliable is asked for."""
+    """Why publishers of a topic are never heard, one line for each. They publish another type, or they are best effort
+    although `reliable` is needed."""
     found = []
     for node, kind, is_reliable in publishers:
         who = node or NAMELESS
@@ -221,5 +236,5 @@ def wrong_ends(topic: str, publishers: Sequence[Publisher], accepted: Sequence[s
 
 
 def short(kind: str) -> str:
-    """A type as people call it: geometry_msgs/msg/Twist is Twist."""
+    """The short name of a type. For example, geometry_msgs/msg/Twist becomes Twist."""
     return kind.rpartition("/")[2]

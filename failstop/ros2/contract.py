@@ -1,25 +1,25 @@
-"""The contract: every topic and service of the bridge, declared once. The shell makes them from these tables, and
-docs/ros2.md shows them. Names are relative to the node's namespace, those with ~ to the node. Pure."""
+"""The contract: declares every topic, service and parameter of the bridge. The bridge makes them from these tables, and
+docs/ros2.md shows them. Names are relative to the node's namespace, or to the node if they begin with ~. Pure."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 NODE = "rosorin_board_driver"
-"""The node's name: that of the driver which the robot's launch files know."""
+"""The name of the bridge's node. It is the name of an earlier driver, which the robot's launch files know."""
 CLIENT = "ros2"
-"""The name under which the service knows the bridge, and that of its interlock."""
+"""The name of the bridge as a client of the service, and the name of its interlock."""
 
 
 class Qos(NamedTuple):
-    """Quality of service; history is always "keep last"."""
+    """Quality of service. The history is always "keep last"."""
 
     depth: int
     reliable: bool = True
     transient_local: bool = False
 
     def words(self) -> str:
-        """As people write it."""
+        """This quality of service in words."""
         reliability = "reliable" if self.reliable else "best effort"
         durability = ", transient local" if self.transient_local else ""
         return f"{reliability}{durability}, depth {self.depth}"
@@ -32,7 +32,8 @@ LASTING = Qos(10, transient_local=True)
 
 
 class Topic(NamedTuple):
-    """One topic. `hz`: how often it is published; 0: whenever there is something."""
+    """One topic. `hz`: how often it is published per second, or 0 if it is published whenever there is something
+    new."""
 
     name: str
     type: str
@@ -42,7 +43,7 @@ class Topic(NamedTuple):
 
 
 class Service(NamedTuple):
-    """One service."""
+    """One service or action."""
 
     name: str
     type: str
@@ -52,7 +53,7 @@ class Service(NamedTuple):
 TWIST = "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/TwistStamped"
 COMMAND_TYPES = {"auto": (TWIST, STAMPED), "twist": (TWIST,), "stamped": (STAMPED,)}
-"""Parameter cmd_vel_type: what may be published on cmd_vel."""
+"""For each value of the parameter cmd_vel_type: the message types that are accepted on cmd_vel."""
 
 CMD_VEL = Topic(
     "cmd_vel",
@@ -82,8 +83,8 @@ ESTOP = Topic(
     "has a second subscription to this topic, with best effort",
 )
 ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
-"""A second subscription: a reliable one hears no best-effort publisher, and a best-effort one alone may lose what a
-reliable publisher sends."""
+"""A second subscription to the topic estop. Both are needed, because a reliable subscription does not hear a
+best-effort publisher, and a best-effort one may lose messages of a reliable publisher."""
 INWARD = (CMD_VEL, SCAN, ESTOP)
 
 IMU = Topic(
@@ -249,11 +250,13 @@ STATE_KEYS = {
     "`age_ms`: the age of the reading; `radps`: each wheel's measured speed",
     "state_age_ms": "the age of these values; null if no service runs",
 }
-"""The keys of ~/state: up to auto_tuck_in_s those of the driver before, then the bridge's own."""
+"""The keys of ~/state. The keys up to auto_tuck_in_s are those of an earlier driver, and the others were added by the
+bridge."""
 
 
 class Parameter(NamedTuple):
-    """A parameter of the bridge itself, read at its start. `allowed`: the words that a text may be; empty: any."""
+    """A parameter of the bridge itself, which is read at its start. `allowed`: the values that a text may have, or ()
+    if any text is allowed."""
 
     name: str
     default: bool | str | list[str]

@@ -1,4 +1,4 @@
-"""Diagnostics: the state as diagnostic_msgs/DiagnosticStatus, in plain dictionaries. Pure."""
+"""Diagnostics: turns the state into diagnostic_msgs/DiagnosticStatus messages, as plain dictionaries. Pure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LINKS = {
 def statuses(
     node: str, state: State | None, problem: str, sees: Sequence[str], wrong: Sequence[str], lacks: Sequence[str] = ()
 ) -> list[StatusMessage]:
-    """Every status. `problem`: why there is no state; `sees`, `wrong` and `lacks`: the bridge's own."""
+    """All statuses. `problem`: why there is no state. `sees`, `wrong` and `lacks`: what the bridge itself reports."""
     if state is None:
         rows = [_status("stop layer", ERROR, problem)]
     else:
@@ -51,7 +51,7 @@ def _status(name: str, level: int, message: str, **values: object) -> StatusMess
 
 
 def _stop_layer(state: State) -> StatusMessage:
-    """Why it is blocked, and the next command."""
+    """Why the wheels may not turn, and the next command to type."""
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
     if state.age_s > verdict.STALE_S:
         level = STALE
@@ -71,7 +71,8 @@ def _stop_layer(state: State) -> StatusMessage:
 
 
 def _wheels(state: State) -> StatusMessage:
-    """What is seen of the wheels. The numbers are values: the message changes only with the fact."""
+    """What is observed of the wheels. Measured numbers are values, not a part of the message, so that the message
+    changes only if something important does."""
     doubt, unseen, known = verdict.doubt(state), verdict.unseen(state), state.turning
     level = ERROR if doubt else WARN if unseen and verdict.word(state) != verdict.TOLD_TO_STOP else OK
     message = f"{verdict.word(state)}: {doubt or unseen or seen.SEEN[seen.seen(state)]}"
@@ -141,7 +142,7 @@ def _rights(state: State) -> StatusMessage:
 
 
 def changed(before: Sequence[StatusMessage], now: Sequence[StatusMessage]) -> bool:
-    """Whether anything but ages and counts is new."""
+    """True if anything but ages and counts has changed."""
     return [(row["name"], row["level"], row["message"]) for row in before] != [
         (row["name"], row["level"], row["message"]) for row in now
     ]

@@ -1,4 +1,4 @@
-"""Fill: plain dictionaries into ROS messages, and types by their names."""
+"""Fill: fills ROS messages from plain dictionaries, and finds message types by their names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from failstop.api.errors import FailstopError
 
 
 def type_of(name: str) -> Any:
-    """The class of a type such as geometry_msgs/msg/Twist. Raises FailstopError."""
+    """The class of a message type, for example of geometry_msgs/msg/Twist. Raises FailstopError."""
     package, kind, last = name.split("/")
     try:
         return getattr(import_module(f"{package}.{kind}"), last)
@@ -21,7 +21,8 @@ def type_of(name: str) -> Any:
 
 
 def fill(message: Any, fields: Mapping[str, Any]) -> Any:
-    """Set a message's fields, those of messages within it by dictionaries; returns the message."""
+    """Set the fields of a message, and return the message. A dictionary as a value sets the fields of a nested
+    message."""
     for name, value in fields.items():
         if isinstance(value, dict):
             fill(getattr(message, name), value)

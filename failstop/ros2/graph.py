@@ -1,4 +1,5 @@
-"""Graph: what DDS says of the publishers of cmd_vel, asked by both of the bridge's threads; a stop where it must be."""
+"""Graph: reads from DDS who publishes cmd_vel, for both threads of the bridge, and requests a stop if this is not
+allowed."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ BEST_EFFORT = 2
 
 
 class Graph:
-    """The node's view, and who commands by it. `commanders` is read and changed under its lock."""
+    """Who publishes cmd_vel, as this node sees it. `commanders` may be read and changed only under the lock."""
 
     def __init__(self, node: Any, topic: str, commanders: Commanders, shared: Shared) -> None:
         self._node = node
@@ -30,7 +31,8 @@ class Graph:
         return publishers(self._node, topic)
 
     def ask(self, link: RobotLink, now_ns: int) -> None:
-        """The publishers of cmd_vel; a second one, or a stranger, is a stop. Takes some 20 us while nothing changes."""
+        """Read who publishes cmd_vel. If a second node does, or a node that is not allowed, request a stop. This takes
+        about 20 us while nothing changes."""
         with self._lock:
             commanders = self.commanders
             count = self._count(self._topic)
@@ -45,8 +47,8 @@ class Graph:
 
 
 def _counter(node: Any, topic: str) -> Callable[[str], int]:
-    """The call that counts the publishers of a topic: rclpy's internal one if it answers, because the node's own
-    expands and checks the name each time."""
+    """The function that counts the publishers of a topic. It is an internal function of rclpy if that works, because
+    the node's own method expands and checks the topic's name at every call."""
     try:
         count: Callable[[str], int] = node.handle.get_count_publishers
         if isinstance(count(topic), int):
@@ -58,12 +60,12 @@ def _counter(node: Any, topic: str) -> Callable[[str], int]:
 
 
 def publishers(node: Any, topic: str) -> list[Publisher]:
-    """The publishers of a topic, as a node sees them."""
+    """The publishers of a topic, as this node sees them."""
     return [_publisher(found) for found in node.get_publishers_info_by_topic(topic)]
 
 
 def latch(node: Any, link: RobotLink, cause: str) -> None:
-    """A latched stop, by the stop pipe."""
+    """Request a latched stop through the stop pipe, and log its cause."""
     try:
         link.stop(cause)
         node.get_logger().error(f"E-STOP: {cause}")
@@ -72,8 +74,8 @@ def latch(node: Any, link: RobotLink, cause: str) -> None:
 
 
 def _publisher(found: Any) -> Publisher:
-    """An endpoint of the graph."""
+    """A Publisher from DDS's information about it."""
     name = found.node_name
     node = "" if not name or name.startswith("_NODE_NAME_UNKNOWN_") else f"{found.node_namespace.rstrip('/')}/{name}"
-    # One of unknown quality is given the benefit of the doubt.
+    # A publisher with unknown reliability counts as reliable.
     return Publisher(node, found.topic_type, int(found.qos_profile.reliability) != BEST_EFFORT)

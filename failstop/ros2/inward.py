@@ -1,4 +1,5 @@
-"""Inward: commands, scans, stops and services, each handed to the service by the thread that spins."""
+"""Inward: receives commands, scans, stops and service calls from ROS, and passes them to the service. It runs in the
+thread that spins the node."""
 
 from __future__ import annotations
 
@@ -39,16 +40,16 @@ INWARD_LOOK_NS = 500_000_000
 STOP_NS = 1_000_000_000
 """How long the stop service waits for the proofs of its stop."""
 LOG_NS = 5_000_000_000
-"""A complaint that repeats itself is written this often."""
+"""The shortest time between two log lines about the same problem."""
 
 
 class Inward:
-    """The subscriptions and services."""
+    """The subscriptions and services of the bridge."""
 
     def __init__(
         self, node: Any, qos: Any, group: Any, link: RobotLink, shared: Shared, settings: dict[str, Any]
     ) -> None:
-        """`qos` makes a profile of a contract.Qos, `group` a callback group; `settings`: the bridge's own
+        """`qos` makes rclpy's profile from a contract.Qos. `group` makes a callback group. `settings`: the bridge's own
         parameters."""
         self._node = node
         self._qos = qos
@@ -56,7 +57,7 @@ class Inward:
         self._link = link
         self._shared = shared
         self.arm: ArmFace | None = None
-        """Once the settings of the service are known, and name joints."""
+        """The arm's part of the bridge. None until the service's settings are known, and without joints in them."""
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])
@@ -67,37 +68,39 @@ class Inward:
         self._timeout_s = 0.3
         self._run = 0
         self._asserts = False
-        """The settings declare the bridge's interlock."""
+        """True if the settings declare the bridge's interlock."""
         self._moving_ns = -STOP_NS
-        """When a command that is not zero came last."""
+        """When the last command arrived that was not zero."""
         self._velocity = (0.0, 0.0, 0.0)
         self._unnamed_ns = 0
-        """When a command that is not finite was stopped for whose publisher had no name yet; 0: none was."""
+        """When a stop was requested for a command with NaN or infinity whose publisher had no name yet. 0 if there was
+        none."""
         self._said_ns = self._looked_ns = now_ns - SAY_NS
         self._said: tuple[str, str] = ("", "")
         self._wrong_estop: list[str] = []
         self._complained_ns: dict[str, int] = {}
         self._type = self._accepted[0]
-        # The first is looked at first.
+        # Subscribe to estop first, because subscriptions are served in this order.
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
         self._subscribe(ESTOP_LOSSY, self._estop)
         self._stopped_ns = 0
-        """When the message was sent that was answered last: both subscriptions hear a reliable publisher."""
+        """When the estop message was sent that was handled last. It is needed because both subscriptions receive the
+        messages of a reliable publisher."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
         for service, answer in zip(SERVICES, (self._enable, self._reset, self._stop), strict=True):
-            # Of groups of their own: all others wait while a callback of the node's group has not come to its end.
+            # Each has its own group, because all callbacks of one group wait while one of them has not ended.
             node.create_service(type_of(service.type), service.name, answer, callback_group=group())
         self._watch_ns = now_ns
-        """When the watch is due."""
+        """When the watch must run next."""
 
     def _subscribe(self, topic: Topic, act: Any, kind: str = "", *, raw: bool = False) -> Any:
         found = type_of(kind or topic.type)
         return self._node.create_subscription(found, topic.name, act, self._qos(topic.qos), raw=raw)
 
     def _complain(self, what: str, line: str) -> None:
-        """Write a line, unless one of the same kind was written just now."""
+        """Log a warning, unless the same kind of warning was logged recently."""
         now_ns = monotonic_ns()
         if now_ns - self._complained_ns.get(what, -LOG_NS) >= LOG_NS:
             self._complained_ns[what] = now_ns
@@ -109,26 +112,29 @@ class Inward:
     # Commanders.
 
     def due_s(self) -> float:
-        """How long nothing is to be done."""
+        """How long there is nothing to do, s."""
         return max(0, self._watch_ns - monotonic_ns()) / 1e9
 
     def turn(self) -> None:
-        """After every turn of the spinner: with a message, so that the watch seldom wakes this thread up itself."""
+        """Run the watch if it is due. Call this after every turn of the spinner. It also runs a little early, after a
+        message, so that the thread need not wake up only for the watch."""
         if (now_ns := monotonic_ns()) >= self._watch_ns - EARLY_NS:
             self._watch_ns = now_ns + WATCH_NS
             self._watch()
 
     def received(self, wall_ns: int, sent_ns: int) -> None:
-        """When DDS received what the next callback is given, and when it was sent, by its publisher's clock (wall
-        clocks, ns); 0, or never called: it is not known."""
+        """Note the times of the message that the next callback gets (wall clock, ns). `wall_ns`: when DDS received it.
+        `sent_ns`: when it was sent, by its publisher's clock. 0 if a time is not known. If this is never called, both
+        are 0."""
         self._received_ns, self._sent_ns = wall_ns, sent_ns
 
     def _waited_ns(self) -> int:
-        """How long the message at hand waited in its queue."""
+        """How long the current message has waited in its queue."""
         return waited_ns(self._received_ns, time_ns())
 
     def _watch(self) -> None:
-        """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
+        """Assert the interlock, 20 times a second, and look after everything else now and then. If the executor hangs,
+        this is not called, so the interlock ends."""
         now_ns = monotonic_ns()
         self._adopt_run()
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
@@ -151,7 +157,7 @@ class Inward:
             self._complain("service", str(error))
 
     def _resubscribe(self) -> None:
-        """Subscribe to what is offered: two types on one topic are two publishers, and one subscription has one."""
+        """Subscribe to the message type that cmd_vel's publisher offers. One subscription can receive only one type."""
         wanted = self._commanders.wanted_type(self._type)
         if wanted != self._type:
             self._node.destroy_subscription(self._subscription)
@@ -160,7 +166,7 @@ class Inward:
             self._node.get_logger().info(f"cmd_vel is read as {wanted} now, because its publisher offers that")
 
     def _adopt_run(self) -> None:
-        """A run of the service that was not seen before brings its settings, and wants a connection of its own."""
+        """If the service was restarted, read its settings and connect again."""
         settings = self._shared.settings
         if self._run == self._shared.run or settings is None:
             return
@@ -178,7 +184,7 @@ class Inward:
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
-        """Tell the service what is seen: when it changes, and every second."""
+        """Report to the service what the bridge sees. This happens when it changes, and every second."""
         scan, wrong = self._scan.says(now_ns)
         commanders = self._commanders
         names = commanders.names() if commanders.count else ""
@@ -204,7 +210,7 @@ class Inward:
             return
         late = self._late(message)
         if any(velocity):
-            # One that is zero may stop, however late it is and whoever sent it.
+            # A zero velocity is never refused, even if it is late, because it may stop the robot.
             if late:
                 self._complain("late", f"cmd_vel is refused: {late}")
                 return
@@ -220,13 +226,14 @@ class Inward:
             self._complain("service", f"cmd_vel moves nothing: {error}")
 
     def _latch_not_finite(self, now_ns: int) -> None:
-        """Now, and once more when the name is known that the cause lacks."""
+        """Request a stop because of a command with NaN or infinity. If the publisher's name is not known, the stop is
+        requested once more when it is."""
         who = self._commanders.names()
         self._unnamed_ns = now_ns if causes.NOT_KNOWN in who else 0
         self._latch(reason(causes.ROS_NOT_FINITE, who))
 
     def _late(self, message: Any) -> str:
-        """Why a command is refused for its age; empty: it is not."""
+        """Why a command is too old and is refused. Empty if it is not."""
         late_ns = self._lag.late_ns(self._commanders.publishers, self._sent_ns, self._received_ns or time_ns())
         if late_ns > self._timeout_s * 1e9:
             return words.repaired(late_ns / 1e9)
@@ -252,7 +259,7 @@ class Inward:
     # Services.
 
     async def _enable(self, request: Any, response: Any) -> Any:
-        """With an arm it takes seconds: everything else goes on meanwhile."""
+        """Enable or disable motion. With an arm this takes seconds, so the executor does other work meanwhile."""
         if request.data and self.arm:
             ended = self.arm.begin(Robot.enable)
             while not ended():
@@ -293,7 +300,7 @@ class Inward:
         return response
 
     async def _stop(self, _request: Any, response: Any) -> Any:
-        """Asked for at once; what is known of it is waited for while everything else goes on."""
+        """Request a stop at once. Then wait for its proofs, while the executor does other work."""
         asked_ns = monotonic_ns()
         before = self._shared.state
         try:
@@ -312,7 +319,7 @@ def _axes(vector: Any) -> tuple[float, float, float]:
 
 
 def _reset(robot: Robot) -> Cause | None:
-    """Reset; returns what had been latched."""
+    """Reset the latched stop. Returns its cause."""
     was = robot.state.cause
     robot.reset()
     return was

@@ -1,4 +1,4 @@
-"""Job: what is asked of the service and takes seconds, in a thread of its own."""
+"""Job: a request to the service that takes seconds, in its own thread."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from failstop.ros2.link import RobotLink
 
 
 class Job:
-    """One of them. Called: whether it has ended."""
+    """A request that runs in its own thread. Call the job to find out whether it has ended."""
 
     def __init__(self, link: RobotLink, act: Callable[[Robot], Any], *, at_once: bool = False) -> None:
-        """`at_once`: as for Link.call."""
+        """Starts the thread. `at_once`: as for RobotLink.call()."""
         self._found: Any = None
         self._error: FailstopError | None = None
         self._thread = threading.Thread(target=self._run, args=(link, act, at_once), daemon=True)
@@ -33,7 +33,7 @@ class Job:
         return not self._thread.is_alive()
 
     def result(self) -> Any:
-        """The result. Raises FailstopError."""
+        """The result of a job that has ended. Raises FailstopError if it failed."""
         if self._error:
             raise self._error
         return self._found

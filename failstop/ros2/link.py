@@ -1,4 +1,5 @@
-"""Link: the bridge's connection to the service, made anew when the service was. One for each thread."""
+"""Link: the bridge's connection to the service. It connects again after the service was restarted. Each thread has its
+own."""
 
 from __future__ import annotations
 
@@ -17,12 +18,13 @@ from failstop.ros2.contract import CLIENT
 ANSWER_S = 0.5
 AGAIN_NS = 200_000_000
 STALE_S = 0.5
-"""A state as old as this may be of a run that is over."""
+"""If a state is older than this, s, its run may have ended."""
 T = TypeVar("T")
 
 
 class RobotLink:
-    """A Robot when there is a service."""
+    """A connection to the service, as a Robot of the API. It is made at the first call, and made again when it is
+    lost."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -31,15 +33,15 @@ class RobotLink:
         self._tried_ns = -AGAIN_NS
 
     def stop(self, reason: str) -> None:
-        """Ask for a latched stop, by the stop pipe: connected or not, whatever the last call came to. Raises NoService
-        when nothing is there to stop."""
+        """Request a latched stop through the stop pipe. This works without a connection, and after a failed call.
+        Raises NoService if there is no service to stop."""
         given, row = (reason.given, reason.row.name) if isinstance(reason, Reason) else (reason, "")
         words.asked(given, row)
         send_stop(self.name, given, CLIENT, row)
 
     def call(self, act: Callable[[Robot], T], *, at_once: bool = False) -> T:
-        """Do something with the robot. Raises FailstopError; a service that has gone is looked for at the next call,
-        five times a second at most but for what is to be done `at_once`."""
+        """Call `act` with the robot. Raises FailstopError. If the service has ended, later calls look for a new one, at
+        most five times a second, or at every call that is `at_once`."""
         try:
             return act(self._connected(at_once=at_once))
         except (Refused, NoAnswer):
@@ -58,7 +60,7 @@ class RobotLink:
         return self._robot
 
     def state(self) -> State:
-        """A state of the run that is there now. Raises FailstopError."""
+        """The state of the present run. Raises FailstopError."""
         found = self.call(lambda robot: robot.state)
         if found.age_s > STALE_S and monotonic_ns() - self._tried_ns >= AGAIN_NS:
             self.close()
@@ -66,8 +68,8 @@ class RobotLink:
         return found
 
     def close(self, failed: BaseException | None = None) -> None:
-        """Give the connection back: what the bridge commanded ends at once. `failed`: by what the bridge ends, which is
-        then the death of a driver."""
+        """Close the connection. Everything that the bridge commanded ends at once. `failed`: the error that ends the
+        bridge, which then counts as a driver that has died."""
         if self._robot:
             self._robot.__exit__(type(failed), failed, None)
             self._robot = None

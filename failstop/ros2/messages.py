@@ -1,7 +1,8 @@
-"""Messages: samples and states as the fields of ROS messages, in plain values. Pure.
+"""Messages: turns samples and states into the fields of ROS messages, as plain values. Pure.
 
-Each kind has what never changes (set once in a message that is used again and again) and what every message changes:
-of what goes out often, numbers at the places of a stencil (stencil.py). Times are ROS times in ns.
+Each kind of message has a constant part, which is set once in a message that is used again and again, and a part that
+changes. For kinds that are sent often, the changing part is numbers for the places of a stencil (stencil.py). Times are
+ROS times in ns.
 """
 
 from __future__ import annotations
@@ -15,29 +16,29 @@ from failstop.api.snapshot import ArmState, Imu, Odometry, Pad
 
 Fields = dict[str, Any]
 Values = tuple[Sequence[float], ...]
-"""The values for the places of a stencil, in the order of the places."""
+"""The numbers for the places of a stencil, in the order of the places."""
 
 CHARGE = {"plugged": 1, "unplugged": 2, "unknown": 0}
-"""power_supply_status: charging, discharging, unknown."""
+"""The values of power_supply_status: charging, discharging, unknown."""
 FULL_AXIS = 127.0
 BUTTONS = 16
 X, Y, YAW = 0, 7, 35
-"""Where x, y and yaw have their variance in a covariance of 36."""
+"""Where the variances of x, y and yaw are in a covariance of 36 numbers."""
 
 
 def stamp(ns: int) -> Fields:
-    """builtin_interfaces/Time."""
+    """A time as the fields of a builtin_interfaces/Time."""
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
 
 
 def _stamped(ns: int) -> tuple[int, int]:
-    """A time in two numbers, for a stencil."""
+    """A time as two numbers for a stencil: seconds and nanoseconds."""
     return divmod(ns, 1_000_000_000)
 
 
 def imu_constant(frame: str, rate_variance: float) -> Fields:
-    """Fields that are equal in all Imu messages: there is no estimate of the orientation, and none of the
-    acceleration's noise."""
+    """The fields that are the same in all Imu messages. The orientation is marked as missing, and nothing is said about
+    the acceleration's noise."""
     diagonal = [rate_variance if at % 4 == 0 else 0.0 for at in range(9)]
     return {
         "header": {"frame_id": frame},
@@ -50,7 +51,7 @@ IMU_PLACES = ("header.stamp", "angular_velocity", "linear_acceleration")
 
 
 def imu(sample: Imu, ros_ns: int) -> Values:
-    """sensor_msgs/Imu."""
+    """The changing values of a sensor_msgs/Imu."""
     return _stamped(ros_ns), sample.rate_radps, sample.acceleration_mps2
 
 
@@ -65,7 +66,7 @@ BATTERY_CONSTANT: Fields = {
 
 
 def battery(volts: float | None, plugged: str, ros_ns: int) -> Fields:
-    """sensor_msgs/BatteryState; None: the board reports none."""
+    """The fields of a sensor_msgs/BatteryState. `volts` is None if the board reports no battery."""
     return {
         "header": {"stamp": stamp(ros_ns)},
         "voltage": nan if volts is None else volts,
@@ -75,13 +76,13 @@ def battery(volts: float | None, plugged: str, ros_ns: int) -> Fields:
 
 
 def odometry_constant(frame: str, child: str) -> Fields:
-    """Fields that are equal in all Odometry messages."""
+    """The fields that are the same in all Odometry messages."""
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 
 def odometry_covariances(sample: Odometry) -> Fields:
-    """The constant covariance of the twist, from the service's settings. The pose's covariance changes, so it is one of
-    the places."""
+    """The covariance of the twist, which is constant and comes from the service's settings. The pose's covariance
+    changes, so it is one of the stencil's places."""
     twist = [0.0] * 36
     twist[X] = twist[Y] = sample.twist_std_mps**2
     twist[YAW] = sample.twist_std_radps**2
@@ -92,19 +93,19 @@ ODOMETRY_PLACES = ("header.stamp", "pose.pose", "pose.covariance", "twist.twist"
 
 
 def _covariance(sample: Odometry) -> Sequence[float]:
-    """Rows of x, y, z, and the turns about them."""
+    """The pose's covariance as 36 numbers: rows of x, y, z, and of the turns about them."""
     xx, xy, xt, yy, yt, tt = sample.pose_covariance
     zeros = (0.0,) * 12
     return (xx, xy, 0.0, 0.0, 0.0, xt, xy, yy, 0.0, 0.0, 0.0, yt, *zeros, *zeros[:6], xt, yt, 0.0, 0.0, 0.0, tt)
 
 
 def _pose(sample: Odometry) -> Sequence[float]:
-    """x, y, z and a quaternion."""
+    """The pose as seven numbers: x, y, z and a quaternion."""
     return (sample.x_m, sample.y_m, 0.0, 0.0, 0.0, sin(sample.th_rad / 2), cos(sample.th_rad / 2))
 
 
 def odometry(sample: Odometry, ros_ns: int) -> Values:
-    """nav_msgs/Odometry."""
+    """The changing values of a nav_msgs/Odometry."""
     twist = (sample.vx_mps, sample.vy_mps, 0.0, 0.0, 0.0, sample.wz_radps)
     return _stamped(ros_ns), _pose(sample), _covariance(sample), twist
 
@@ -113,40 +114,40 @@ TRANSFORM_PLACES = ("transforms.0.header.stamp", "transforms.0.transform")
 
 
 def transform_constant(frame: str, child: str) -> Fields:
-    """Fields that are equal in all TransformStamped messages."""
+    """The fields that are the same in all TransformStamped messages."""
     return {"header": {"frame_id": frame}, "child_frame_id": child}
 
 
 def transform(sample: Odometry, ros_ns: int) -> Values:
-    """tf2_msgs/TFMessage of the pose."""
+    """The changing values of a tf2_msgs/TFMessage with the pose."""
     return _stamped(ros_ns), _pose(sample)
 
 
 GAMEPAD_PLACES = ("header.stamp", "axes", "buttons")
 GAMEPAD_CONSTANT: Fields = {"axes": [0.0] * 5, "buttons": [0] * BUTTONS}
-"""The lengths of these arrays never change."""
+"""Arrays of the right lengths, which never change."""
 
 
 def gamepad(sample: Pad, ros_ns: int) -> Values:
-    """sensor_msgs/Joy."""
+    """The changing values of a sensor_msgs/Joy."""
     axes = (*(axis / FULL_AXIS for axis in sample.axes), float(sample.hat))
     return _stamped(ros_ns), axes, [sample.buttons >> bit & 1 for bit in range(BUTTONS)]
 
 
 OLD_S = 0.5
-"""A report of the wheels that is older says nothing of how fast they turn now."""
+"""If a report of the wheels is older than this, s, it does not show how fast they turn now."""
 JOINT_PLACES = ("header.stamp", "position", "velocity")
 
 
 class Wheels:
-    """The wheels' joints: how far each has turned and how fast it turns, as the board reports it, or else as it was
-    commanded; positive turns forward."""
+    """The wheels as joints: how far each has turned, and how fast it turns. The board reports this, or else it is
+    computed from the commands. Positive turns forward."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
-        """The joints' names. Empty until a service has reported how many there are."""
+        """The names of the joints. Empty until a service has reported its wheels."""
         self._steering_rad: dict[str, float] = {}
-        """Empty: the base is not steered, or was not told to be yet."""
+        """The steering's joint and its angle. Empty if the base is not steered, or if no angle was commanded yet."""
         self._position_rad: list[float] = []
         self._velocity_radps: list[float] = []
         self._measured = False
@@ -159,9 +160,9 @@ class Wheels:
         steering_rad: float | None = None,
         turning: snapshot.Turning | None = None,
     ) -> None:
-        """The speeds commanded from now on: State.wheels_radps; None: there is no service, and they are zero.
-        `steering_rad`: State.steering_rad; where it is None, a steered base stays as it was. `turning`: State.turning;
-        where the board has reported its wheels, nothing but its reports counts, and old ones say of no speed."""
+        """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service, which means zero.
+        `steering_rad`: State.steering_rad. If it is None, a steered base keeps its angle. `turning`: State.turning. If
+        the board reports its wheels, only its reports are used, and after an old report the speed is NaN."""
         if steering_rad is not None:
             self._steering_rad = {"steering": steering_rad}
         if not self._measured:
@@ -185,8 +186,8 @@ class Wheels:
             self._position_rad = list(turning.turned_rad)
 
     def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
-        """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is
-        left out; while it moves it is where it was sent."""
+        """The names of the joints, and the changing values of a sensor_msgs/JointState. `arm`: State.arm. A joint that
+        was not read yet is left out. While a joint moves, its position is where it was sent."""
         joints = arm.joints if arm else {}
         at = {name: joint.at_rad for name, joint in joints.items() if joint.at_rad is not None}
         found = {**self._steering_rad, **at}

@@ -1,7 +1,7 @@
-"""Mirrors: the old driver's parameters, which show the service's settings and can't change them. Pure.
+"""Mirrors: parameters of an earlier driver, which show the service's settings but can't change them. Pure.
 
-Two places for one setting are one too many: a value that a launch file or YAML gives is not taken, and is told of where
-it is not what the settings say.
+A setting must have only one place, which is the service's settings file. So a value from a launch file or a YAML file
+is not used, and a warning is logged if it differs from the setting.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ FIXED = "it is a fact of the robot, not a setting"
 
 
 class Mirror(NamedTuple):
-    """One parameter: the settings it shows, and how. Without keys it is fixed."""
+    """One parameter: its name, the settings that it shows, and the function that computes its value from them. Without
+    settings, its value is fixed."""
 
     name: str
     keys: tuple[str, ...]
@@ -40,7 +41,7 @@ def _same(name: str, key: str) -> Mirror:
 
 
 def command_timeout_s(settings: RobotSettings) -> float:
-    """How long a command of cmd_vel counts."""
+    """How long a command of cmd_vel is used, s."""
     return float(settings["sources.cmd_vel.timeout_s"])
 
 
@@ -81,7 +82,7 @@ MIRROR_BY_NAME = {mirror.name: mirror for mirror in TABLE}
 
 
 def values(settings: RobotSettings) -> dict[str, ParameterValue]:
-    """Every parameter's value."""
+    """The values of all these parameters."""
     return {mirror.name: mirror.show(settings) for mirror in TABLE}
 
 
@@ -97,7 +98,7 @@ def refusal(name: str) -> str:
 
 
 def differing(given: Mapping[str, object], shown: Mapping[str, ParameterValue]) -> list[str]:
-    """A line for each parameter that somebody gives another value than the settings have."""
+    """A warning for each parameter for which somebody has given a value that differs from the settings."""
     lines = []
     for name, value in given.items():
         if name in shown and not _equal(value, shown[name]):

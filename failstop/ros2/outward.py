@@ -1,6 +1,8 @@
-"""Outward: a thread that publishes what the service reports, and watches for publishers that are silent.
+"""Outward: a thread that publishes what the service reports. It also watches for nodes that publish cmd_vel but are
+silent.
 
-It wakes up on its own, beside the spinner: to wait for messages costs more than to sleep.
+It sleeps between its turns, next to the thread that waits for messages, because sleeping costs less than waiting for
+messages.
 """
 
 from __future__ import annotations
@@ -26,33 +28,35 @@ from failstop.ros2.shared import Shared
 from failstop.ros2.stencil import Stencil, serializer
 
 PERIOD_S = 0.018
-"""Two IMU samples, each with its own time, less than the 20 ms between two odometries: to wake up costs more than to
-publish."""
+"""The time between two turns, s. It is short enough to publish every odometry message (each 20 ms) separately, and long
+enough for about two IMU samples, because waking up costs more than publishing."""
 CLOCK_NS = 100_000_000
-"""How often the time of ROS is compared with this machine's: it may be a simulator's, or be set."""
+"""How often ROS's time is compared with this computer's clock. ROS's time may come from a simulator, or may be set."""
 LEAST_NS = 1000
 REPORT_NS = 100_000_000
 DIAGNOSE_NS = 200_000_000
 HEARD_NS = 500_000_000
-"""How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
+"""How often to find out which topics have subscribers. A topic without subscribers is published only if that costs
+little."""
 SLOW_NS = 1_000_000_000
 BATTERY_NS = SLOW_NS * 9 // 10
-"""New voltages are published this far apart at least: a board that reads one a second is sometimes early."""
+"""The shortest time between two published voltages. It is a little less than a second, because a board that reads one
+each second is sometimes early."""
 SUPERVISOR = "supervisor"
 FROM = {
     "wheels": "the board's reports of the wheels",
     "commands": "the commands, because the board has not reported its wheels",
 }
-"""Each Odometry.source in words for people."""
+"""What people read for each Odometry.source."""
 
 
 class Outward:
-    """The publishers, and what was published last."""
+    """The publishers of the bridge, and what they published last."""
 
     def __init__(
         self, node: Any, qos: Any, link: RobotLink, shared: Shared, graph: Graph, settings: dict[str, Any]
     ) -> None:
-        """`qos` makes a profile of a contract.Qos; `settings`: the bridge's own parameters."""
+        """`qos` makes rclpy's profile from a contract.Qos. `settings`: the bridge's own parameters."""
         self._node = node
         self._graph = graph
         self._link = link
@@ -75,11 +79,11 @@ class Outward:
         self._stopped: bool | None = None
         self._begun = self._moves = self._ending = self._battery_seen = False
         self._battery_ns = -1
-        """When the voltage was read that was published last."""
+        """When the published voltage was read."""
         self._battery_published_ns = 0
         self._asked = 0
         self._heard: dict[str, bool] = {}
-        """Topics, and whether somebody hears each."""
+        """For each topic, True if it has a subscriber."""
         self._told: list[diagnostics.StatusMessage] = []
         self._deviations: tuple[float, ...] = ()
         self._odometry_from = ""
@@ -92,7 +96,7 @@ class Outward:
         except FailstopError:
             if topic is not STATUS:
                 raise
-            return  # failstop_msgs is not built here
+            return  # the package failstop_msgs is not built on this computer
         self._publishers[topic.name] = self._node.create_publisher(kind, topic.name, qos(topic.qos))
         self._messages[topic.name] = kind()
 
@@ -109,16 +113,16 @@ class Outward:
             self._keep(TF, {"transforms": [transform]}, messages.TRANSFORM_PLACES)
 
     def _keep(self, topic: Topic, constant: dict[str, Any], places: Sequence[str]) -> None:
-        """From now on a topic's messages hold this, and other numbers at these places each time."""
+        """Set the constant part of a topic's messages, and the places of the numbers that change."""
         message = fill(self._messages[topic.name], constant)
         self._stencils[topic.name] = Stencil(message, places, self._serialize)
 
     def start(self) -> None:
-        """Begin to publish."""
+        """Start the thread."""
         self._thread.start()
 
     def end(self) -> None:
-        """Publish nothing more."""
+        """End the thread, so that nothing more is published."""
         self._ending = True
         self._thread.join(1.0)
 
@@ -127,16 +131,16 @@ class Outward:
             while not self._ending:
                 sleep(PERIOD_S)
                 self.turn(monotonic_ns())
-        except BaseException as error:  # without this thread the bridge would drive and see nothing
+        except BaseException as error:  # without this thread the bridge would drive without publishing anything
             self._shared.failed = error
             self._shared.ending = True
         self._link.close()
 
     def turn(self, now_ns: int) -> None:
-        """One wake-up."""
+        """Do everything that is due. The thread calls it each time it wakes up."""
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
-            # A simulator's time has not begun before /clock is heard; stamps are of this machine's until then.
+            # A simulator's time is 0 until /clock is received. Until then, this computer's clock is used.
             self._offset_ns = (self._node.get_clock().now().nanoseconds or time_ns()) - monotonic_ns()
         if now_ns - self._heard_ns >= HEARD_NS:
             self._heard_ns = now_ns
@@ -157,7 +161,7 @@ class Outward:
         self._publishers[topic.name].publish(fill(self._messages[topic.name], fields))
 
     def _send(self, topic: Topic, values: messages.Values) -> None:
-        """Publish a kept message with these numbers, if anybody hears it."""
+        """Publish a message with these numbers, if its topic has a subscriber."""
         if self._heard[topic.name]:
             self._publishers[topic.name].publish(self._stencils[topic.name].filled(values))
 
@@ -186,7 +190,7 @@ class Outward:
         if TF.name in self._publishers:
             self._send(TF, messages.transform(sample, ros_ns))
         moves = bool(sample.vx_mps or sample.vy_mps or sample.wz_radps)
-        if self._moves and not moves:  # it may be a stop
+        if self._moves and not moves:  # the robot may have been stopped
             self._publish_changes(monotonic_ns())
         self._moves = moves
 
@@ -196,7 +200,7 @@ class Outward:
         self._wheels.update(None, monotonic_ns())
 
     def _publish_changes(self, now_ns: int, *, due: bool = False) -> None:
-        """Publish what goes with the state: on every change that is noticed, and, when it is due, at its rate."""
+        """Publish what depends on the state. If `due`, everything is published, otherwise only what must not wait."""
         self._asked = self._shared.asked
         state = self._state()
         if state:
@@ -256,8 +260,8 @@ class Outward:
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
     def _publish_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
-        """Publish a reading once, with the time at which it was read. A battery that is reported no more is published
-        as such: subscribers would keep its last voltage."""
+        """Publish a new reading once, with the time at which it was read. If the battery is no longer reported, publish
+        that too, because subscribers would otherwise keep the last voltage."""
         self._battery_seen = True
         if not state.battery_v or not state.is_current(state.ages.battery_s):
             if slow:
@@ -289,7 +293,7 @@ class Outward:
 
 
 def _age_s() -> float:
-    """How long ago this process was started."""
+    """How long ago this process was started, s."""
     with open("/proc/self/stat", encoding="utf-8", errors="replace") as file:
         born = int(file.read().rpartition(")")[2].split()[19])
     return clock_gettime(CLOCK_BOOTTIME) - born / os.sysconf("SC_CLK_TCK")
@@ -299,7 +303,7 @@ def _diagnostic(row: diagnostics.StatusMessage) -> Any:
     pair = type_of("diagnostic_msgs/msg/KeyValue")
     values = [fill(pair(), value) for value in row["values"]]
     status = type_of("diagnostic_msgs/msg/DiagnosticStatus")()
-    # A `byte` of ROS is one byte of Python.
+    # A ROS `byte` is a Python bytes object of length 1.
     return fill(status, {**row, "level": bytes([row["level"]]), "values": values})
 
 

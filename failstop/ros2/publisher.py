@@ -1,7 +1,7 @@
-"""A node that publishes cmd_vel, or a scan, again and again, for the demo and the bench:
-`python -m failstop.ros2.publisher NODE VX [HZ]`; with the word scan in the place of VX, a scan.
+"""A node that publishes cmd_vel or a scan again and again, for the demo and the bench. Usage: `python -m
+failstop.ros2.publisher NODE VX [HZ]`. If VX is the word scan, it publishes scans.
 
-It writes when (CLOCK_MONOTONIC, ns) its publisher was made, then publishes until SIGTERM, and leaves in order.
+It prints when its publisher was made (CLOCK_MONOTONIC, ns), then publishes until SIGTERM, and exits cleanly.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ HZ = 20.0
 
 
 class Ending:
-    """Set by SIGTERM."""
+    """Notes a SIGTERM."""
 
     now = False
 
     def set(self, _number: int, _frame: object) -> None:
-        """The signal's handler."""
+        """The handler of the signal."""
         self.now = True
 
 
 def main(words: list[str]) -> int:
-    """Publish until told to end."""
+    """Publish until SIGTERM. Returns the exit code."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

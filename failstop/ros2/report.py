@@ -1,4 +1,5 @@
-"""Report: the service's state as the bridge tells it in ~/state and ~/status, and its own line for people. Pure."""
+"""Report: the service's state as the bridge publishes it in ~/state and ~/status, and a line about the bridge for
+people. Pure."""
 
 from __future__ import annotations
 
@@ -18,12 +19,12 @@ NOBODY = "nobody publishes cmd_vel"
 
 
 def blocked(state: State) -> str | None:
-    """Why the wheels may not turn, in the words of the driver before."""
+    """Why the wheels may not turn, in the words of an earlier driver. None if they may."""
     return f"{box.LATCHED}{words.plain(state.cause)}" if state.cause else state.blocked
 
 
 def driver(state: State) -> str | None:
-    """The program that drives."""
+    """The program that drives, and its source. None if no program drives."""
     return next((f"{row.who} as {row.source}" for row in state.sources if row.state == "drives"), None)
 
 
@@ -39,7 +40,7 @@ NO_ARM: dict[str, Any] = {
 
 
 def arm(state: State) -> dict[str, Any]:
-    """The arm's keys of ~/state."""
+    """The keys of ~/state that are about the arm."""
     found = state.arm
     if found is None:
         return NO_ARM
@@ -66,7 +67,7 @@ UNKNOWN_WHEELS: dict[str, Any] = {
 
 
 def wheels(state: State) -> dict[str, Any]:
-    """The key `wheels` of ~/state: what is seen of them, and the word that every screen shows."""
+    """The key `wheels` of ~/state: what is observed of the wheels, and the word that every screen shows."""
     known = state.turning
     measured = known.speeds_radps or ()
     names = known.speeds_radps.names if known.speeds_radps else ()
@@ -81,12 +82,12 @@ def wheels(state: State) -> dict[str, Any]:
 
 
 def busy(state: State | None) -> bool:
-    """~/arm_busy: it moves, or is about to."""
+    """The value of ~/arm_busy: True if the arm moves or is about to."""
     return bool(state and state.arm and state.arm.mode)
 
 
 def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> dict[str, Any]:
-    """The values of ~/state, by the keys of contract.STATE_KEYS."""
+    """The values of ~/state, with the keys of contract.STATE_KEYS."""
     bias = state.gyro_bias
     stop = state.last_stop
     found = {
@@ -124,7 +125,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
 
 
 def without_service(problem: str) -> dict[str, Any]:
-    """The report while there is no service: nothing is enabled, and why."""
+    """The values of ~/state if no service is running. `problem`: why."""
     found = {
         "enabled": False,
         "estop": None,
@@ -151,7 +152,7 @@ def without_service(problem: str) -> dict[str, Any]:
 
 
 def status(state: State) -> dict[str, Any]:
-    """The fields of failstop_msgs/Status but for its stamp; what is not known is NaN or empty."""
+    """The fields of a failstop_msgs/Status except for its stamp. A value that is not known is NaN or empty."""
     stop = state.last_stop
     return {
         "enabled": state.enabled,
@@ -174,7 +175,7 @@ def status(state: State) -> dict[str, Any]:
 
 
 def _seen(stop: Stop) -> str:
-    """Say whether the wheels were seen standing."""
+    """Whether the wheels were seen standing still, in words."""
     if stop.observed_s is None:
         return "wheels not seen still yet" if stop.observed_by else NO_IMU
     return f"observed after {stop.observed_s * 1e3:.0f} ms" if stop.observed_s else wheels_seen(0.0, stop.observed_by)
@@ -189,18 +190,19 @@ def _times(value: float | None, factor: float) -> float | None:
 
 
 def latched(state: State | None) -> bool:
-    """Whether ~/emergency_stop is true: without a state nobody knows that nothing is latched."""
+    """The value of ~/emergency_stop. It is True without a state, because a stop may be latched then."""
     return state is None or state.estop is not None
 
 
 def says(names: str, scan: str) -> str:
-    """The bridge's view, for `status` and `why`."""
+    """What the bridge sees, in one line for `failstop status` and `failstop why`."""
     return f"cmd_vel: {names}; {scan}" if names else f"{NOBODY}; {scan}"
 
 
 def proof(before: State | None, now: State | None, *, final: bool = False) -> tuple[bool, str] | None:
-    """Whether the stop that was asked for after `before` is known to be written, and what is known of it; None while
-    more may become known. `final`: no more is waited for."""
+    """Whether the requested stop was written to the board. Returns (True if it is known to be written, what is known
+    about it), or None while more may become known. `before`: the state before the request. `now`: the present state.
+    With `final`, nothing more is waited for, so the result is not None."""
     stop = now.last_stop if now else None
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
         return (False, "the stop was requested, but the service has not confirmed it yet") if final else None

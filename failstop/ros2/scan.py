@@ -1,4 +1,5 @@
-"""Scan: what is heard of the obstacle sensor, told apart: nobody publishes, of another type, silent. Pure."""
+"""Scan: finds out what is wrong with the obstacle sensor: nobody publishes, the type is wrong, or the sensor is silent.
+Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ from failstop.ros2.commanders import NAMELESS, Publisher, wrong_ends
 from failstop.ros2.contract import SCAN
 
 NO_SCAN = "no scan"
-"""The gate's block reason."""
+"""The gate's reason for blocking the wheels if the sensor is silent."""
 
 
 class ScanWatch:
-    """The sensor's publishers and its last delivery."""
+    """The sensor's publishers, and when its last message arrived."""
 
     def __init__(self, timeout_s: float) -> None:
         self.timeout_s = timeout_s
@@ -21,15 +22,15 @@ class ScanWatch:
         self._publishers: tuple[Publisher, ...] = ()
 
     def heard(self, now_ns: int) -> None:
-        """A message arrived."""
+        """Note that a message arrived."""
         self._heard_ns = now_ns
 
     def look(self, publishers: Sequence[Publisher]) -> None:
-        """Take the publishers."""
+        """Note the publishers that were found."""
         self._publishers = tuple(publishers)
 
     def says(self, now_ns: int) -> tuple[str, list[str]]:
-        """(what is seen, what is wrong)."""
+        """Returns (what is seen, a list of what is wrong)."""
         if wrong := wrong_ends(SCAN.name, self._publishers, (SCAN.type,), reliable=False):
             return "scan of another type", wrong
         if not self._publishers:
@@ -43,14 +44,15 @@ class ScanWatch:
 
 
 class ScanLog:
-    """The lines that the driver before wrote when the scan gate held the wheels, and when it let them go."""
+    """Makes the lines that an earlier driver logged: one when a missing scan stops the wheels, and one when the wheels
+    may turn again."""
 
     def __init__(self, now_ns: int) -> None:
         self._begun_ns = now_ns
         self._held = False
 
     def update(self, blocked: str | None, scan_age_s: float | None, timeout_s: float, now_ns: int) -> str:
-        """The line to write now; empty: none. The block reason `no scan` means that somebody commands."""
+        """The line to log now, or "". The gate blocks with the reason `no scan` only while somebody commands."""
         if blocked == NO_SCAN:
             if self._held:
                 return ""

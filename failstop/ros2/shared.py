@@ -1,4 +1,5 @@
-"""Shared: what the bridge's two threads know of each other; each field has one writer, who replaces it whole."""
+"""Shared: what the bridge's two threads tell each other. Each field is written by one thread only, which replaces it as
+a whole."""
 
 from __future__ import annotations
 
@@ -10,23 +11,23 @@ from failstop.ros2.mirrors import RobotSettings
 
 @dataclasses.dataclass
 class Shared:
-    """Written by the thread that publishes: state, problem, settings, run, failed; by the one that listens: the
-    rest."""
+    """The thread that publishes writes state, problem, settings, run and failed. The thread that spins the node writes
+    the other fields."""
 
     state: State | None = None
     problem: str = "the bridge is starting"
     """Why there is no state."""
     settings: RobotSettings | None = None
-    """The settings of the present run. None: not known yet."""
+    """The settings of the present run. None if they are not known yet."""
     run: int = 0
-    """The run of the service: the pid of its supervisor; 0: none was seen yet."""
+    """The pid of the supervisor, which identifies the run of the service. 0 before the first run."""
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
     lacks: tuple[str, ...] = ()
-    """Services that are not offered, and why."""
+    """Services and actions that are not offered, each with the reason."""
     asked: int = 0
-    """How often something was asked of the service that changes its state."""
+    """How many requests that change the service's state were granted."""
     failed: BaseException | None = None
     """The error that has ended the thread that publishes."""
     ending: bool = False

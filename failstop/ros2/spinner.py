@@ -1,13 +1,14 @@
-"""Spinner: waits for messages, and calls the node's callbacks, in one thread.
+"""Spinner: waits for messages and calls the node's callbacks, in one thread. It does what rclpy's executor does, but
+faster.
 
-An executor of rclpy makes a wait set, a task and a coroutine for each message, and asks every entity of the node twice:
-0.7 ms a message. This spinner keeps its wait set and takes messages itself. It leaves services, actions and callbacks
-that await something to rclpy's executor, whenever there are any.
+rclpy's executor makes a wait set, a task and a coroutine for each message, and asks every entity of the node twice,
+which takes 0.7 ms per message. This spinner keeps its wait set and reads messages itself. Services, actions, and
+callbacks that await something are still handled by rclpy's executor.
 
-For that it uses names that rclpy may change in any release: the executor's tasks and its wake(), which it replaces;
-WaitSet of rclpy.impl; the node's guards, waitables and context.handle; the three calls of a waitable; an entity's
-handle, its pointer and take_message(). When one of them is missing or answers in another way, the spinner logs it once
-and lets rclpy's executor do everything: slower, but nothing is lost.
+For this, the spinner uses names that rclpy may change in any release: the executor's tasks and its wake(), which is
+replaced; WaitSet of rclpy.impl; the node's guards, waitables and context.handle; three methods of a waitable; and an
+entity's handle, its pointer and take_message(). If one of them is missing or behaves differently, the spinner logs it
+once and lets rclpy's executor do everything. This is slower, but nothing is lost.
 """
 
 from __future__ import annotations
@@ -17,25 +18,27 @@ from time import monotonic
 from typing import Any
 
 AWAITED_S = 0.002
-"""How soon the spinner looks again at callbacks that await something."""
+"""While a callback awaits something, how long to wait until it is called again, s."""
 EVENTS_S = 1.0
-"""How often it looks at DDS's events of the node (rclpy logs them), and for entities that it was not told of."""
+"""How often to let rclpy handle DDS's events of the node (it logs them), and to look for entities that were added
+without a notice, s."""
 MOST_AT_ONCE = 10
 COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_clients", "num_services")
-"""The parts of a wait set, in its order; events come last."""
+"""The kinds of entities in a wait set, in its order. Events come last."""
 PENDING = ("_pending_tasks", "_tasks")
-"""Where an executor keeps its tasks: the first since rclpy #1469 (Humble 3.3.21, Jazzy 7.1.9, Lyrical), a mapping with
-tasks as keys; the second before, a list of (task, entity, node)."""
+"""The attributes in which an executor keeps its tasks. Since rclpy #1469 (Humble 3.3.21, Jazzy 7.1.9, Lyrical) it is
+the first one, a mapping with the tasks as keys. Older versions have the second one, a list of (task, entity, node)."""
 OTHERWISE = (ImportError, AttributeError, TypeError, ValueError, LookupError)
-"""The errors of a name that is not what it was."""
+"""The errors that show that a part of rclpy has changed."""
 
 
 class Spinner:
-    """Spins one node, from one thread."""
+    """Calls the callbacks of one node, from one thread."""
 
     def __init__(self, node: Any, received: Callable[[int, int], None]) -> None:
-        """`received(received_ns, sent_ns)` is called before each callback with the two times of its message (wall
-        clocks, ns), and with zeros after it, because nothing is known of what rclpy's executor calls."""
+        """`received(received_ns, sent_ns)` is called before each callback, with the two times of its message (wall
+        clock, ns). It is called with zeros after the callback, because the times are not known for callbacks that
+        rclpy's executor calls."""
         from rclpy.executors import SingleThreadedExecutor
 
         self._node = node
@@ -44,31 +47,31 @@ class Spinner:
         self._executor.add_node(node)
         self._entities: list[list[Any]] = []
         self._subscriptions: list[tuple[int, Any]] = []
-        """Each with the address that rclpy knows it by."""
+        """The subscriptions, each with the address by which rclpy identifies it."""
         self._kinds: list[str] = []
-        """The kinds of entities that the node has, besides subscriptions and services."""
+        """The kinds of entities that the node has, other than subscriptions and services."""
         self._others: list[Any] = []
-        """Waitables, such as actions."""
+        """The waitables, for example actions."""
         self._set: Any = None
         self._add: list[tuple[Any, Any]] = []
-        """How each entity gets into the wait set, which is empty after each wait."""
+        """How to add each entity to the wait set, which is empty after each wait."""
         self._stale = True
         self._events_s = 0.0
         self._replaced = False
-        """Its wake() is this spinner's."""
+        """True if the executor's wake() was replaced."""
         self.plain = False
-        """rclpy's executor does everything."""
+        """True if rclpy's executor does everything."""
         try:
             self._awaited()
             self._build()
-            # The node calls this whenever an entity is created or destroyed.
+            # The node calls wake() whenever an entity is created or destroyed.
             self._executor.wake = self._changed
             self._replaced = True
         except OTHERWISE as error:
             self._give_up(error)
 
     def _give_up(self, error: Exception) -> None:
-        """From now on rclpy's executor does everything."""
+        """Let rclpy's executor do everything from now on."""
         self.plain, self._set = True, None
         self._add.clear()
         if self._replaced:
@@ -81,21 +84,22 @@ class Spinner:
         self._stale = True
 
     def _awaited(self) -> bool:
-        """Whether a callback awaits something. Raises AttributeError for an executor that keeps its tasks elsewhere."""
+        """True if a callback awaits something. Raises AttributeError if the executor keeps its tasks in another
+        attribute."""
         executor = self._executor
         for name in PENDING:
-            # Each time anew: an older executor replaces its list.
+            # Look it up each time, because an older executor replaces its list.
             if (found := getattr(executor, name, None)) is not None:
                 return any(not task.done() for task in _tasks(found))
         raise AttributeError(f"{type(executor).__name__} has none of {', '.join(PENDING)}")
 
     def _found(self) -> list[list[Any]]:
-        """What the node has now: subscriptions, guard conditions, clients, services, waitables."""
+        """The node's present entities: subscriptions, guard conditions, clients, services, waitables."""
         node = self._node
         return [*map(list, (node.subscriptions, node.guards, node.clients, node.services, node.waitables))]
 
     def _build(self) -> None:
-        """Make the wait set. Raises OTHERWISE where rclpy has none of the kind that is known here."""
+        """Make the wait set. Raises one of OTHERWISE if a part of rclpy has changed."""
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
         self._stale = False
@@ -103,7 +107,7 @@ class Spinner:
         self._entities = self._found()
         subscriptions, guards, clients, services, waitables = self._entities
         self._subscriptions = [(each.handle.pointer, each) for each in subscriptions]
-        # DDS's events can wait for a second, and make each wait longer.
+        # Leave out DDS's events, because they can wait for a second and would make each wait longer.
         counted = [(each, each.get_num_entities()) for each in waitables]
         counted = [(each, count) for each, count in counted if _more_than_events(count)]
         self._others = [each for each, _ in counted]
@@ -122,7 +126,7 @@ class Spinner:
         ]
 
     def turn(self, timeout_s: float) -> None:
-        """Wait no longer than that (s), and call the callbacks that are due."""
+        """Wait for at most `timeout_s`, and call the callbacks that are due."""
         if not self.plain:
             try:
                 arrived, leave = self._wait(timeout_s)
@@ -137,8 +141,8 @@ class Spinner:
             self._executor.spin_once(timeout_sec=0)
 
     def _wait(self, timeout_s: float) -> tuple[list[Any], bool]:
-        """Wait. Returns the subscriptions that have messages, and whether rclpy's executor has something to do. It
-        calls nothing of the bridge's, so an error is rclpy's. Raises OTHERWISE."""
+        """Wait. Returns the subscriptions that have messages, and True if rclpy's executor has something to do. It
+        calls no code of the bridge, so an error here comes from rclpy. Raises one of OTHERWISE."""
         if self._stale:
             self._build()
         awaited = self._awaited()
@@ -162,7 +166,8 @@ class Spinner:
         )
 
     def _receive(self, subscription: Any) -> None:
-        """Take waiting messages, a few at most because other subscriptions wait too."""
+        """Read the subscription's waiting messages and call its callback. It reads at most MOST_AT_ONCE, because other
+        subscriptions wait too."""
         for _ in range(MOST_AT_ONCE):
             if self.plain:
                 return
@@ -189,13 +194,13 @@ class Spinner:
 
 
 def _tasks(found: Any) -> Iterable[Any]:
-    """The tasks of an executor's mapping, or of its list."""
+    """The tasks of an executor, from its mapping or its list."""
     return list(found) if isinstance(found, Mapping) else [task for task, _, _ in found]
 
 
 def _message(found: Any) -> tuple[Any, tuple[int, int] | None]:
-    """A message that was taken, and when it was received and sent; None instead where that can't be read. The message
-    is out of its queue already, so it is found here even if its times are not: it may be a stop."""
+    """Split what take_message() returned into the message and (time received, time sent). The times are None if they
+    can't be read. The message is returned even then, because it is no longer in its queue, and it may be a stop."""
     message, *about = found if isinstance(found, tuple) else (found,)
     try:
         return message, (int(about[0]["received_timestamp"]), int(about[0].get("source_timestamp", 0)))
@@ -204,5 +209,5 @@ def _message(found: Any) -> tuple[Any, tuple[int, int] | None]:
 
 
 def _more_than_events(count: Any) -> bool:
-    """Whether it counts more than events."""
+    """True if the count has anything but events."""
     return any(getattr(count, name) for name in COUNTS)

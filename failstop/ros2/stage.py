@@ -1,4 +1,4 @@
-"""A stage for the demo and the bench: nodes that publish, and a bridge, as processes in a ROS domain of their own."""
+"""Stage: starts the bridge and publishing nodes as processes in a separate ROS domain, for the demo and the bench."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from types import TracebackType
 from failstop import helpers
 
 DOMAINS = range(60, 100)
-"""The values of ROS_DOMAIN_ID to choose from. Robots seldom use them, and Linux has ports for them, unlike for the
-highest values."""
+"""The values of ROS_DOMAIN_ID to choose from. Robots rarely use them, and unlike for the highest values, Linux has free
+ports for them."""
 END_S = 5.0
 
 
 def environment() -> dict[str, str]:
-    """A domain of its own on this machine alone: nobody's robot hears it."""
+    """The environment for these processes. Their ROS domain is limited to this computer, so no robot can hear them."""
     domain = DOMAINS[os.getpid() % len(DOMAINS)]
     alone = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     return {**os.environ, "ROS_DOMAIN_ID": str(domain), **alone}
 
 
 class StageProcess:
-    """One of them; a context manager that ends it in order."""
+    """A process of the stage. Use it as a context manager, which ends the process cleanly."""
 
     def __init__(self, *words: str, log: str = os.devnull) -> None:
         with open(log, "a") as file:
@@ -43,16 +43,16 @@ class StageProcess:
         self.end()
 
     def line(self) -> str:
-        """The next line that it writes; empty when it has ended."""
+        """The next line that the process prints. Empty if it has ended."""
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
     def kill(self, number: int = signal.SIGKILL) -> None:
-        """Send it a signal."""
+        """Send a signal to the process."""
         os.kill(self.process.pid, number)
 
     def end(self) -> None:
-        """SIGTERM, and wait for its end."""
+        """Send SIGTERM, and wait until the process has ended."""
         if self.process.poll() is None:
             self.kill(signal.SIGCONT)
             self.kill(signal.SIGTERM)
@@ -66,10 +66,10 @@ class StageProcess:
 
 
 def bridge(name: str, log: str = os.devnull) -> StageProcess:
-    """`failstop ros2`."""
+    """Start `failstop ros2` for the service of this name."""
     return StageProcess("failstop", "ros2", "--name", name, log=log)
 
 
 def publisher(node: str, what: str, hz: float = 20.0) -> StageProcess:
-    """A node of publisher.py."""
+    """Start a node of publisher.py. `what`: the forward speed in m/s, or scan."""
     return StageProcess("failstop.ros2.publisher", node, what, str(hz))

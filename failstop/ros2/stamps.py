@@ -1,4 +1,5 @@
-"""Stamps: how old a message is by its own stamp, and whose stamps disagree with the clock here. Pure."""
+"""Stamps: finds out how old messages are by their own stamps, and which nodes have a clock that disagrees with this
+computer's. Pure."""
 
 from __future__ import annotations
 
@@ -8,15 +9,16 @@ from typing import Any, NamedTuple
 from failstop.api.words import DAY_S, span
 
 TOLD_NS = 2_000_000_000
-"""A disagreement is told for this long after the last message that showed it."""
+"""How long a disagreement is reported after the last message that showed it."""
 NO_CLOCK = "use_sim_time is true, and nobody publishes /clock, so ROS has no time here"
 AGREE = "do the clocks agree?"
 OTHER_CLOCK = "is use_sim_time the same in both nodes?"
-"""Days apart are two kinds of time: a simulator counts from 0, a computer from 1970."""
+"""The advice if stamps are days apart. One node then uses a simulator's time, which counts from 0, and the other uses
+the time since 1970."""
 
 
 class Trouble(NamedTuple):
-    """A fault of one topic's stamps, and when it was seen last."""
+    """A problem with one topic's stamps. `seen_ns`: when it was last seen."""
 
     who: str
     text: str
@@ -25,16 +27,17 @@ class Trouble(NamedTuple):
 
 
 class Stamps:
-    """The newest stamps of the topics whose messages are judged by their stamps."""
+    """Judges messages by their stamps, and remembers the problems of each topic."""
 
     def __init__(self, ros_ns: Callable[[], int]) -> None:
-        """`ros_ns`: ROS's time now, which may be a simulator's; 0 where it has none."""
+        """`ros_ns`: returns ROS's present time, which may be a simulator's. 0 if ROS has no time."""
         self._ros_ns = ros_ns
         self._troubles: dict[str, Trouble] = {}
 
     def late(self, topic: str, who: str, stamp: Any, most_s: float, now_ns: int) -> str:
-        """Why a message is refused for its stamp (builtin_interfaces/Time; 0 counts as now); empty: it is not. One from
-        the future is not refused, and is told."""
+        """Why a message is refused because of its stamp, or "" if it is not. `stamp`: a builtin_interfaces/Time, and
+        zero counts as now. `most_s`: the highest allowed age. A stamp from the future is not refused, but it is
+        remembered as a problem."""
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if not stamp_ns:
             return ""
@@ -49,7 +52,8 @@ class Stamps:
         return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); {AGREE}" if age_s > 0 else ""
 
     def _note(self, topic: str, who: str, age_s: float, now_ns: int) -> None:
-        """The text stays while the age is about the same: each change of it is an event."""
+        """Remember a problem. Its text stays the same while the age is about the same, because each change of the text
+        is logged as an event."""
         before = self._troubles.get(topic)
         fresh = before and before.who == who and now_ns - before.seen_ns <= TOLD_NS
         if before and fresh and abs(age_s - before.age_s) < 0.1 + abs(before.age_s) / 4:
@@ -62,6 +66,6 @@ class Stamps:
         self._troubles[topic] = Trouble(who, text, age_s, now_ns)
 
     def wrong(self, now_ns: int) -> list[str]:
-        """Faults, a line each."""
+        """The present problems, one line for each."""
         fresh = [row.text for row in self._troubles.values() if now_ns - row.seen_ns <= TOLD_NS]
         return fresh if self._ros_ns() else [NO_CLOCK, *fresh]

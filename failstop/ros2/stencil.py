@@ -1,8 +1,9 @@
-"""Stencil: a message that goes out again and again, in which a few numbers change.
+"""Stencil: a message that is published again and again, while only a few of its numbers change.
 
-Where ROS can serialise, the message is kept as bytes and the numbers are written into them: rclpy takes 0.1 ms to make
-such bytes of a message. Where the numbers lie is not computed but found: the message is serialised with numbers that
-occur once. Where they are not found, the message itself is changed and given out.
+The message is kept as serialized bytes, and new numbers are written into these bytes, because rclpy takes 0.1 ms to
+serialize a message. To find where the numbers are in the bytes, the message is serialized once with numbers that occur
+nowhere else. If ROS can't serialize it, or if the numbers are not found, the message object itself is changed and
+published.
 """
 
 from __future__ import annotations
@@ -13,15 +14,15 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 FORMATS = {"double": "d", "float": "f", "int32": "i", "uint32": "I"}
-"""Types of ROS, as struct has them."""
+"""The number types of ROS, with their format characters in struct."""
 MARK = 70_000
-"""The numbers that are looked for are this large, because every float and every int can hold them and no length is as
-large."""
+"""The smallest number that is used for searching the bytes. Every float and integer type can hold such numbers, and no
+length in a message is as large."""
 Values = Sequence[Sequence[float]]
 
 
 def serializer() -> Callable[[Any], bytes] | None:
-    """How this ROS makes bytes of a message; None where it does not say."""
+    """rclpy's function that serializes a message. None if this rclpy has none."""
     try:
         from rclpy.serialization import serialize_message
     except ImportError:
@@ -31,7 +32,8 @@ def serializer() -> Callable[[Any], bytes] | None:
 
 
 class Stencil:
-    """One message. `places`: dotted names of the fields that change, each a number, numbers, or a message of such."""
+    """One message. `places`: the dotted names of the fields that change. Such a field is a number, an array of numbers,
+    or a message with only numbers."""
 
     def __init__(self, message: Any, places: Sequence[str], serialize: Callable[[Any], bytes] | None) -> None:
         self._message = message
@@ -61,7 +63,7 @@ class Stencil:
         _put(*_field(self._message, place), iter(values))
 
     def filled(self, values: Values) -> Any:
-        """A message to publish: bytes or an object, with these values at the places, in their order."""
+        """The message to publish, with these numbers at the places, in their order. It is bytes or a message object."""
         if self._bytes:
             for (write, at), numbers in zip(self._writes, values, strict=True):
                 write(self._bytes, at, *numbers)
@@ -72,7 +74,7 @@ class Stencil:
 
 
 def _field(message: Any, place: str) -> tuple[Any, str]:
-    """The owner of a field, and its name; a number in a name is an index."""
+    """The object that has the field, and the field's name. A number in the dotted name is an index."""
     *above, last = place.split(".")
     for name in above:
         message = message[int(name)] if name.isdigit() else getattr(message, name)
@@ -84,7 +86,7 @@ def _is_message(value: Any) -> bool:
 
 
 def _form(owner: Any, name: str) -> str:
-    """How its numbers lie, for struct."""
+    """The format string of struct for the numbers of this field."""
     value, kind = getattr(owner, name), owner.get_fields_and_field_types()[name]
     if _is_message(value):
         return "".join(_form(value, field) for field in value.get_fields_and_field_types())

@@ -1,8 +1,9 @@
-"""Trajectory: the action FollowJointTrajectory, for planners such as MoveIt. Offered where this ROS has control_msgs.
+"""Trajectory: the action FollowJointTrajectory, for planners such as MoveIt. It is offered if this ROS has the package
+control_msgs.
 
-A goal is accepted when the gate has taken it, and rejected in the gate's words, which the log has: the protocol of
-actions has no place for them. Positions and times count; velocities, accelerations and tolerances of the goal do not,
-since the settings of the service have them.
+A goal is accepted once the gate has accepted it. If the gate refuses it, the goal is rejected, and the gate's reason is
+logged, because a rejection in ROS has no text. Only the positions and times of a goal are used. Its velocities,
+accelerations and tolerances are not, because the service's settings limit these.
 """
 
 from __future__ import annotations
@@ -27,19 +28,20 @@ if TYPE_CHECKING:
     from failstop.ros2.shared import Shared
 
 FEEDBACK_NS = 100_000_000
-"""The state is as new as this."""
+"""The time between two feedback messages. The state is not read more often either."""
 TRAJECTORY_LOOK_NS = 20_000_000
-"""How often it is asked whether the feedback was acknowledged."""
+"""How often to look whether the feedback was acknowledged."""
 SETTLED_NS = 500_000_000
-"""By then the client of the goal before has acknowledged what it was sent, if it lives."""
+"""How long the client of an earlier goal may take to acknowledge the last feedback. If it takes longer, it is dead or
+suspended."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
-"""Every client of the action hears it."""
+"""The topic of the action's feedback. Every client of the action receives it."""
 UNSETTLED = "a node that received an earlier goal is dead or stopped, and DDS counts it for up to 20 s: try again then"
 Way = list[tuple[float, dict[str, float]]]
 
 
 def way(trajectory: Any) -> Way:
-    """A JointTrajectory as Arm.move takes it. Raises FailstopError for one that makes no sense."""
+    """Turn a JointTrajectory into a path for Arm.move(). Raises FailstopError if it makes no sense."""
     names = list(trajectory.joint_names)
     if len(set(names)) != len(names):
         raise FailstopError("a joint is named twice")
@@ -52,12 +54,13 @@ def way(trajectory: Any) -> Way:
     if any(len(positions) != len(names) for _, positions in points):
         raise FailstopError("a point without a position for each joint")
     if len(points) > 1 and points[0][0] == 0.0:
-        points = points[1:]  # where it is said to begin; it begins where it is
+        points = points[1:]  # the first point is only the start, and the arm starts where it is
     return [(t_s, dict(zip(names, positions, strict=True))) for t_s, positions in points]
 
 
 def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], list[float]]:
-    """Where each joint is to be now, and where it was read to be last; NaN: not known."""
+    """For each joint, the position that is commanded now, and the position that was last read. NaN if it is not
+    known."""
     joints = [arm.joints.get(name) if arm else None for name in names]
     return (
         [nan if joint is None or joint.commanded_rad is None else joint.commanded_rad for joint in joints],
@@ -66,11 +69,12 @@ def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], 
 
 
 class Feedback:
-    """The publisher of the action's feedback, in the place of the one in rclpy's server: it can tell whether everybody
-    who hears it has acknowledged it. One message is kept, so that DDS asks for its acknowledgement at once."""
+    """The publisher of the action's feedback, instead of the one in rclpy's action server. It can tell whether every
+    receiver has acknowledged the feedback. It keeps one message only, so that DDS asks for the acknowledgement at
+    once."""
 
     def __init__(self, node: Any, kind: Any) -> None:
-        """Raises FailstopError where this ROS's DDS does not tell what was acknowledged."""
+        """Raises FailstopError if this ROS can't tell what was acknowledged."""
         from rclpy.duration import Duration
         from rclpy.qos import QoSProfile
 
@@ -84,16 +88,16 @@ class Feedback:
             raise FailstopError(f"this RMW doesn't show whether its client is alive ({error})") from None
 
     def heard(self) -> int:
-        """How many nodes hear it reliably; the others acknowledge nothing."""
+        """How many nodes receive the feedback reliably. Other nodes acknowledge nothing."""
         ends = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
         return sum(int(end.qos_profile.reliability) != BEST_EFFORT for end in ends)
 
     def acknowledged(self) -> bool:
-        """Everybody has acknowledged what was sent last."""
+        """True if every receiver has acknowledged the last feedback."""
         return bool(self._publisher.wait_for_all_acked(self._at_once))
 
     def send(self, handle: Any, names: list[str], state: State | None) -> None:
-        """Where the joints of a goal are to be, and where they are."""
+        """Publish where the goal's joints must be, and where they are."""
         desired, actual = positions(names, state.arm if state else None)
         error = [wanted - there for wanted, there in zip(desired, actual, strict=True)]
         places = {"desired": desired, "actual": actual, "error": error}
@@ -106,7 +110,7 @@ class Feedback:
 
 
 class TrajectoryFace:
-    """The action's server. One goal at a time: a second one is rejected while the first is under way."""
+    """The action's server. It handles one goal at a time, and rejects a second one until the first has ended."""
 
     def __init__(
         self,
@@ -117,8 +121,9 @@ class TrajectoryFace:
         hold: Callable[[], None],
         timeout_s: Callable[[], float],
     ) -> None:
-        """`go`: asks the gate for a path, and tells of what the gate says; `hold`: holds the arm, if the path moves it
-        still; `timeout_s`: how long a client may be unseen. Raises FailstopError where this ROS has no such action."""
+        """`go` asks the gate to follow a path, and calls its second argument with the gate's progress. `hold` holds the
+        arm, if the path still moves it. `timeout_s` returns how long a client may be silent, s. Raises FailstopError if
+        this ROS does not have the action."""
         self._kind = type_of(ARM_ACTION.type)
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
@@ -128,7 +133,7 @@ class TrajectoryFace:
         self._go, self._hold, self._timeout_s = go, hold, timeout_s
         self._shared = shared
         self._jobs: dict[int, Job] = {}
-        """The jobs of goals that were accepted and are not finished yet, by the identity of the message."""
+        """The jobs of goals that were accepted but have not ended, by the id of the goal message."""
         self._feedback = Feedback(node, self._kind)
         self._server = ActionServer(
             node,
@@ -141,7 +146,7 @@ class TrajectoryFace:
         )
 
     async def _asked(self, goal: Any) -> Any:
-        """A goal: it is asked of the gate, whose answer decides."""
+        """Decide about a goal. The gate's answer is the decision."""
         taken = threading.Event()
         try:
             await self._settle()
@@ -157,12 +162,13 @@ class TrajectoryFace:
         return self._accept
 
     def _cancel(self, _handle: Any) -> Any:
-        """The arm is held; the goal ends by that."""
+        """Hold the arm, which also ends the goal."""
         self._hold()
         return self._cancelling
 
     async def _settle(self) -> None:
-        """Raises Refused while a client that is dead or stopped still counts: the goal could not be watched."""
+        """Wait until all clients of earlier goals have acknowledged their feedback. Raises Refused if one does not,
+        because it is dead or suspended, and then the client of a new goal could not be watched."""
         until_ns = monotonic_ns() + SETTLED_NS
         while not self._feedback.acknowledged():
             if monotonic_ns() > until_ns:
@@ -192,7 +198,7 @@ class TrajectoryFace:
             ended = handle.succeed
         except FailstopError as error:
             result.error_string = words.refused(error)
-            # One code for all: which of them it is only the text says.
+            # All failures have the same code. The text says what happened.
             result.error_code = self._kind.Result.PATH_TOLERANCE_VIOLATED
             ended = handle.abort
         if handle.is_cancel_requested:
@@ -202,5 +208,5 @@ class TrajectoryFace:
         return result
 
     def close(self) -> None:
-        """Offer it no more."""
+        """Close the action's server."""
         self._server.destroy()

@@ -1,4 +1,4 @@
-"""Transport: which way Fast DDS takes, by the environment of the bridge's process. Pure."""
+"""Transport: chooses how Fast DDS sends data, through the environment of the bridge's process. Pure."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ if TYPE_CHECKING:
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 IMPLEMENTATIONS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-"""The RMW_IMPLEMENTATION that reads these profiles."""
+"""The values of RMW_IMPLEMENTATION whose DDS reads these profiles. Empty means the default, which is Fast DDS."""
 
 
 LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-"""Since Jazzy; LOCALHOST_ONLY is deprecated there, and wins where it is 1."""
+"""The variable that limits which computers a node finds, since Jazzy. There, LOCALHOST_ONLY is deprecated, but wins if
+it is 1."""
 PEERS = "ROS_STATIC_PEERS"
-"""Hosts that a node looks for beyond RANGE."""
+"""The variable with further hosts that a node looks for, besides those in RANGE."""
 
 
 def own_profile(environment: Mapping[str, str]) -> bool:
-    """Whether the user has a profile of their own, which may use shared memory."""
+    """True if the user has set a Fast DDS profile, which may use shared memory."""
     return any(map(environment.get, PROFILES))
 
 
 def udp_alone(environment: MutableMapping[str, str]) -> None:
-    """Make Fast DDS use UDP without its shared memory, unless the user has a profile of their own.
+    """Make Fast DDS use UDP instead of its shared memory, unless the user has set a profile.
 
-    By shared memory, after a kill, the next bridge may listen at a port whose file the other nodes have just replaced,
-    and then it hears none of them.
+    Shared memory can make the bridge deaf. After a kill, the next bridge may listen at a port whose file the other
+    nodes have just replaced, and then it hears none of them.
 
-    For localhost and further hosts (PEERS) nothing is changed: no profile says both, and ROS's own way of it brings the
-    shared memory along, which `failstop doctor` then sees."""
+    If the user wants localhost and further hosts (PEERS), nothing is changed, because no profile can say both. ROS's
+    own way of doing this uses shared memory, and `failstop doctor` then reports it.
+    """
     if environment.get("RMW_IMPLEMENTATION", "") not in IMPLEMENTATIONS or own_profile(environment):
         return
     only = environment.get(LOCALHOST_ONLY) == "1"
@@ -40,7 +42,7 @@ def udp_alone(environment: MutableMapping[str, str]) -> None:
     if localhost and not only and environment.get(PEERS):
         return
     if localhost:
-        # ROS's own variables for it would bring the shared memory back: the profile does the same.
+        # ROS's own variables would bring the shared memory back. The profile limits it to localhost instead.
         environment.pop(RANGE, None)
     environment.pop(LOCALHOST_ONLY, None)
     profile = Path(__file__).resolve().parent / f"udp_only{'_localhost' if localhost else ''}.xml"

@@ -1,4 +1,4 @@
-"""Turn: what a callback awaits that has to wait."""
+"""Turn: lets a callback wait while the executor does other work."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 
 class Turn:
-    """Awaited: the executor goes on with other work, and comes back."""
+    """Await this in a callback: the executor does other work, and then continues the callback."""
 
     def __await__(self) -> Generator[None, None, None]:
         yield

@@ -1,4 +1,4 @@
-"""Words: the service's answers in those of the driver before it, to the letter, which tools compare."""
+"""Words: gives the service's answers exactly the wording of an earlier driver, because tools compare these texts."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ _ASKED: deque[Cause] = deque(maxlen=64)
 
 
 def asked(given: str, row: str = "") -> None:
-    """Remember a stop that this process asks for, by the cause `row`. The name in a stop request proves nothing, so
-    this alone tells a request of the bridge from one that says it is the bridge's."""
+    """Remember a stop that this bridge requests. `given`: the text of the request. `row`: the kind of its cause. Anyone
+    can use the bridge's name in a stop request, so only this memory shows whether a stop was requested by the
+    bridge."""
     _ASKED.append(causes.requested(records.asking(given, CLIENT, os.getpid(), row).rstrip()))
 
 
 def plain(cause: Cause | None) -> str:
-    """A cause, and of a stop that this bridge asked for the bare words of the driver before it; empty: none."""
+    """A cause in words, or "" for None. If this bridge requested the stop, these are only the words of the earlier
+    driver."""
     if cause and cause in _ASKED:
         return causes.bare(cause)
     return str(cause or "")
 
 
 def refused(error: FailstopError) -> str:
-    """The answer to what was not done."""
+    """The answer to a request that was refused or has failed."""
     if not isinstance(error, Refused):
         return f"refused: {error}"
     template = LATCHED if error.refused_for == FOR_THE_LATCH else error.template
@@ -46,22 +48,22 @@ def refused(error: FailstopError) -> str:
 
 
 def reset(was: Cause | None) -> str:
-    """The answer to a reset that was done; `was`: what had been latched."""
+    """The answer to a reset. `was`: the cause of the stop that was reset."""
     return f"e-stop cleared (was: {plain(was) or None}); motion still disabled"
 
 
 def waited(waited_s: float) -> str:
-    """Why a message that came late to its callback is refused."""
+    """Why a message that waited too long for its callback is refused."""
     return f"it waited {waited_s:.3f} s here; is the machine overloaded?"
 
 
 def repaired(late_s: float) -> str:
-    """Why a message that was under way for longer than others is refused."""
+    """Why a message that took longer than others to arrive is refused."""
     return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"
 
 
 def unwatched(takes_s: float, most_s: float) -> str:
-    """Why a goal of the topic arm/goal is refused for its length."""
+    """Why a goal from the topic arm/goal is refused because it takes too long."""
     return (
         f"it takes {takes_s:g} s, and nobody can see whether its sender lives: {most_s:g} s at most "
         f"(arm.unwatched_s), or send it to {ARM_ACTION.name}"
@@ -69,7 +71,7 @@ def unwatched(takes_s: float, most_s: float) -> str:
 
 
 def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:
-    """A command as people read it."""
+    """A velocity in words."""
     return f"{linear_x:g} m/s forward, {linear_y:g} m/s left, {angular_z:g} rad/s"
 
 

@@ -1,4 +1,5 @@
-"""LeRobot's robot of the type `failstop`: LeKiwi's names, driven through a failstop service on the same machine."""
+"""The robot type `failstop` for LeRobot. It has LeKiwi's names for observations and actions, and drives through a
+failstop service on the same computer."""
 
 from lerobot_robot_failstop.config_failstop import FailstopConfig
 from lerobot_robot_failstop.robot import Failstop, RobotStopped

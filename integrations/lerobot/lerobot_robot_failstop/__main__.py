@@ -1,5 +1,5 @@
-"""`python -m lerobot_robot_failstop CALIBRATION.json`: failstop's settings for LeKiwi, with the joints of LeRobot's
-calibration file."""
+"""`python -m lerobot_robot_failstop CALIBRATION.json`: prints failstop's settings for a LeKiwi. The joints come from
+LeRobot's calibration file."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ scan.gate = "off"   # LeKiwi has no obstacle sensor
 
 
 HIGHEST = 4095
-"""The last step of a servo's turn."""
+"""The highest position of a servo. Positions are 0 to this within one turn."""
 FULL_TURN = "wrist_roll"
-"""The joint that LeRobot gives the whole turn."""
+"""The joint that LeRobot allows to make a whole turn."""
 WIDEST, NARROWEST = 3500, 100
-"""Steps of any other joint of LeKiwi's arm: its links meet before it has made so many, and it moves by more than so few
-when its ends are recorded."""
+"""The widest and the narrowest range of any other joint of LeKiwi's arm, in positions of its servo. At the widest range
+the arm's links touch each other. A range below the narrowest means that the joint was not moved from end to end while
+its range was recorded."""
 
 
 def tables(calibration: Any) -> str:
-    """The joints' settings, each line with its whole name, so that it may stand anywhere in a file. Raises ValueError
-    for what is no calibration of an arm, or can't be right."""
+    """The joints' settings as text. Each line has the whole key, so it may be anywhere in a file. Raises ValueError if
+    this is not the calibration of an arm, or if a value can't be right."""
     rows = calibration if isinstance(calibration, dict) else {}
     found = []
     for name in JOINTS:
@@ -50,7 +51,7 @@ def tables(calibration: Any) -> str:
 
 
 def _wrong(name: str, low: int, high: int) -> str:
-    """Why a joint's range can't be right, and what to do; empty: it can."""
+    """Why a joint's range can't be right, and what to do. Empty if it can."""
     if low >= high:
         return "calibrate it again"
     if low < 0 or high > HIGHEST:
@@ -66,19 +67,19 @@ def _wrong(name: str, low: int, high: int) -> str:
 
 
 def _read(path: str) -> Any:
-    """What is in the file. Raises ValueError, which says why it can't be read."""
+    """The content of the file. Raises ValueError, which says why it can't be read."""
     try:
         return json.loads(Path(path).read_text("utf-8"))
     except OSError as error:
         raise ValueError(f"{error.strerror}: check the path") from None
-    except RecursionError:  # each Python words it differently
+    except RecursionError:  # each Python version has another text for this error
         raise ValueError("its lists are nested too deeply: is it LeKiwi's calibration?") from None
     except ValueError as error:
         raise ValueError(f"it is no JSON ({error}): is it LeKiwi's calibration?") from None
 
 
 def _check(made: str) -> None:
-    """Have failstop look at the settings before anybody appends them. Raises ValueError."""
+    """Let failstop check the settings, before anybody adds them to a file. Raises ValueError."""
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write(made)
         file.flush()
@@ -89,7 +90,7 @@ def _check(made: str) -> None:
 
 
 def main(words: list[str]) -> int:
-    """Print them, or say on stderr why not. Returns the exit code."""
+    """Print the settings, or print to stderr why that is not possible. Returns the exit code."""
     if len(words) != 1:
         sys.stderr.write("usage: python -m lerobot_robot_failstop CALIBRATION.json\n")
         return 2

@@ -1,5 +1,5 @@
-"""FailstopConfig: what `--robot.type=failstop` can be told. LeRobot's parser reads the types from the annotations, so
-they are not postponed here."""
+"""FailstopConfig: the options of `--robot.type=failstop`. LeRobot's parser reads their types from the annotations, so
+this module does not postpone annotations."""
 
 from dataclasses import dataclass, field
 
@@ -10,39 +10,43 @@ from lerobot.robots.lekiwi import LeKiwiConfig
 from lerobot_robot_failstop.keys import KEYS
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-"""LeKiwi's joints, in the order of its servos, without the `arm_` that LeRobot puts in front."""
+"""The names of LeKiwi's joints, in the order of their servos. LeRobot puts `arm_` in front of these names."""
 WORDS = {"after_stop": ("raise", "wait"), "at_end": ("hold", "park", "release")}
 
 
 @RobotConfig.register_subclass("failstop")
 @dataclass(kw_only=True)
 class FailstopConfig(RobotConfig):  # type: ignore[misc]
-    """Where the robot is, and how it behaves at the edges of a run."""
+    """Options of the robot: which service drives it, and what happens at the beginning and the end of a run."""
 
     service: str = "failstop"
-    """Name of the failstop service on this machine."""
+    """The name of the failstop service on this computer."""
     joints: dict[str, str] = field(default_factory=lambda: {name: name for name in JOINTS})
-    """Name in failstop's settings ([joints.NAME]) of each of LeKiwi's joints; empty: a base without an arm."""
+    """For each of LeKiwi's joints, its name in failstop's settings ([joints.NAME]). Empty for a base without an arm."""
     source: str = "cmd_vel"
-    """The source of the settings as which the base is driven."""
+    """The source in failstop's settings under which the base is driven."""
     manual: bool = False
-    """A person drives: exempt from the interlock of the obstacle sensor (failstop's setting scan.gate)."""
+    """Set this if a person drives. The base then also drives without an obstacle sensor (failstop's setting
+    scan.gate)."""
     enable: bool = False
-    """Enable motion when connecting. Otherwise a person does: `failstop enable`."""
+    """Enable motion when connecting. Otherwise a person must do it, with `failstop enable`."""
     after_stop: str = "raise"
-    """A latched stop ends the run (raise: RobotStopped), or the actions go on without effect until the reset (wait)."""
+    """What happens after a latched stop. With `raise`, RobotStopped ends the run. With `wait`, actions have no effect
+    until the stop is reset."""
     at_end: str = "hold"
-    """End of the arm by disconnect(): hold it, park it (tuck pose, then torque off), or release it at once."""
+    """What disconnect() does with the arm: hold it; park it, which moves it to the tuck pose and then switches its
+    torque off; or release it at once."""
     use_degrees: bool = LeKiwiConfig.use_degrees
-    """Joints in degrees instead of -100 to 100; the gripper is 0 to 100 always. The default is that of LeKiwi in the
-    LeRobot that is installed (degrees since 0.6.0), because datasets and policies do not say which unit they have."""
+    """Use degrees for the joints instead of -100 to 100. The gripper is always 0 to 100. The default is that of LeKiwi
+    in the installed LeRobot (degrees since 0.6.0), because datasets and policies don't record their unit."""
     teleop_keys: dict[str, str] = field(default_factory=lambda: dict(KEYS))
-    """The key of each of LeKiwi's acts of driving."""
+    """The key for each of LeKiwi's driving actions."""
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    """LeRobot's own cameras, by name."""
+    """LeRobot's cameras, by their names."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a word that there is not, and for a joint that LeKiwi does not have."""
+        """Check the options. Raises ValueError for a value that is not allowed, and for a joint that LeKiwi does not
+        have."""
         super().__post_init__()
         for key, words in WORDS.items():
             if (given := getattr(self, key)) not in words:

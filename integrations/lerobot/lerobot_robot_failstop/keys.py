@@ -1,4 +1,4 @@
-"""Keys: LeKiwi's keyboard as velocities of the base. Pure."""
+"""Keys: turns the keys of LeKiwi's keyboard control into velocities of the base. Pure."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ KEYS = {
     "quit": "q",
 }
 LEVELS = ((0.1, 30.0), (0.2, 60.0), (0.3, 90.0))
-"""Speeds to choose from: m/s along, deg/s around."""
+"""The speeds to choose from: m/s for driving, deg/s for turning."""
 AXES = (("x.vel", "forward", "backward"), ("y.vel", "left", "right"), ("theta.vel", "rotate_left", "rotate_right"))
 
 
 def level_after(level: int, pressed: Collection[str], keys: Mapping[str, str]) -> int:
-    """The index into LEVELS after one look at the keys that are down."""
+    """The new index into LEVELS, after these keys were pressed."""
     if keys["speed_up"] in pressed:
         level = min(level + 1, len(LEVELS) - 1)
     if keys["speed_down"] in pressed:
@@ -30,7 +30,7 @@ def level_after(level: int, pressed: Collection[str], keys: Mapping[str, str]) -
 
 
 def velocity(level: int, pressed: Collection[str], keys: Mapping[str, str]) -> dict[str, float]:
-    """x.vel and y.vel in m/s, theta.vel in deg/s, by the keys that are down."""
+    """The velocity for the keys that are pressed: x.vel and y.vel in m/s, and theta.vel in deg/s."""
     along, around = LEVELS[level]
     speeds = {"x.vel": along, "y.vel": along, "theta.vel": around}
     return {axis: speeds[axis] * ((keys[plus] in pressed) - (keys[minus] in pressed)) for axis, plus, minus in AXES}

@@ -1,7 +1,7 @@
-"""Failstop: a robot for LeRobot with LeKiwi's names, that moves through a failstop service.
+"""Failstop: a robot for LeRobot that has LeKiwi's names and drives through a failstop service.
 
-It commands, and holds nothing: the service owns the port, limits what is asked for, and stops wheels and arm when this
-program dies or falls silent. Numbers are LeKiwi's: m/s, deg/s, and -100 to 100 over a joint's calibrated range.
+It only sends commands. The service owns the motor port, limits the commands, and stops the wheels and the arm if this
+program dies or stops sending. Numbers have LeKiwi's units: m/s, deg/s, and -100 to 100 over a joint's calibrated range.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from lerobot_robot_failstop.config_failstop import FailstopConfig
 from lerobot_robot_failstop.units import Reach, Scale, Unit, base_numbers, base_velocity
 
 CALIBRATED_AS = "lekiwi"
-"""The name under which LeRobot keeps the calibration that its own host has written."""
+"""The name under which LeRobot stores the calibration that LeKiwi's own host has written."""
 FRESH_S = 0.1
-"""A joint's reading of that age is an observation; an older one gives way to where the joint was sent."""
+"""How old a joint's reading may be, s, to be used as an observation. If it is older, the position to which the joint
+was sent is used instead."""
 VELOCITIES = ("x.vel", "y.vel", "theta.vel")
 logger = logging.getLogger(__name__)
 
 
 def _why_not(answer: Driving | Preempted | Blocked) -> str:
-    """Why the wheels do not obey; empty: they do, or the gate has not looked yet."""
+    """Why the wheels do not obey. Empty if they do, or if the gate has not decided yet."""
     if isinstance(answer, Preempted):
         return f"{answer.by} drives"
     return answer.why if isinstance(answer, Blocked) and answer.block is not Block.NO_COMMAND else ""
 
 
 class RobotStopped(RuntimeError):
-    """A stop is latched: its message says why, what proves it, and what to do."""
+    """A stop is latched. The message says why, how it is proven, and what to do."""
 
 
 class Failstop(Robot):  # type: ignore[misc]
-    """LeKiwi by way of a failstop service on this machine."""
+    """A LeKiwi that drives through a failstop service on this computer."""
 
     config_class = FailstopConfig
     name = "lekiwi_client"
-    """LeRobot compares it with the robot of a dataset that is gone on with, and takes a leader arm and a keyboard
-    together for a robot of this name alone."""
+    """LeRobot compares this name with the robot of a dataset that is continued. It must be this name, because only for
+    it does LeRobot accept a leader arm and a keyboard at the same time."""
 
     def __init__(self, config: FailstopConfig) -> None:
         if config.calibration_dir is None:
@@ -60,7 +61,7 @@ class Failstop(Robot):  # type: ignore[misc]
         self._scales: dict[str, Scale] = {}
         self._level = 0
         self._told = dict.fromkeys(("wheels", "arm"), "")
-        """The last news of each part for people."""
+        """For the wheels and the arm, the last reason that was logged."""
 
     @property
     def _numbers(self) -> dict[str, type]:
@@ -68,7 +69,7 @@ class Failstop(Robot):  # type: ignore[misc]
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """The type of each number, and the shape of each camera's picture."""
+        """The type of each number, and the shape of each camera's image."""
         pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
         return {**self._numbers, **pictures}
 
@@ -79,28 +80,29 @@ class Failstop(Robot):  # type: ignore[misc]
 
     @property
     def is_connected(self) -> bool:
-        """Between connect() and disconnect()."""
+        """True between connect() and disconnect()."""
         return self._service is not None
 
     @property
     def is_calibrated(self) -> bool:
-        """A calibration file of LeRobot's is there for each joint."""
+        """True if LeRobot's calibration file has every joint."""
         return all(f"arm_{joint}" in self.calibration for joint in self.config.joints)
 
     def calibrate(self) -> None:
-        """Raise RuntimeError, with what to do: the service has the port, and takes calibrations over alone."""
+        """Raise RuntimeError, which says what to do. This robot can't calibrate, because the service owns the port. It
+        only reads a calibration that LeRobot has made."""
         raise RuntimeError(
             "failstop takes a calibration over and makes none: stop the service, calibrate by `lerobot-calibrate"
             f" --robot.type=lekiwi --robot.id={self.id} --robot.port=PORT`, and start it again"
         )
 
     def configure(self) -> None:
-        """Do nothing: failstop's settings configure the robot."""
+        """Do nothing, because failstop's settings configure the robot."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the service, read where the arm is, and open the cameras. Enables motion if the config says so.
-        Raises DeviceNotConnectedError without a service, or for an arm that can't be read; ValueError for a
-        calibration that does not fit the settings."""
+        """Connect to the service, read where the arm is, and open the cameras. Enables motion if the option `enable` is
+        set. Raises DeviceNotConnectedError without a service, or if the arm can't be read. Raises ValueError if the
+        calibration does not fit the settings."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
         with contextlib.ExitStack() as undo:
@@ -121,7 +123,7 @@ class Failstop(Robot):  # type: ignore[misc]
             logger.info("%s has no calibration file: its joints' ranges are those of failstop's settings", self)
 
     def _scaled(self, service: Service) -> dict[str, Scale]:
-        """LeRobot's numbers by each of its joints."""
+        """For each of LeRobot's joints, the scale that converts its numbers."""
         declared = service.arm.joints if self.config.joints else {}
         found = {}
         for name, of_settings in self.config.joints.items():
@@ -144,7 +146,7 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def _read_arm(self, service: Service) -> None:
-        """Have it read where nobody knows where a joint is."""
+        """Let the service read the arm, if the position of any joint is not known."""
         arm = service.state.arm
         if self._scales and (arm is None or any(joint.at_rad is None for joint in arm.joints.values())):
             try:
@@ -161,8 +163,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return self._service
 
     def get_observation(self) -> dict[str, Any]:
-        """Where each joint is, the velocity that the service commands, and a picture of each camera. Raises
-        DeviceNotConnectedError when the service has gone."""
+        """The position of each joint, the velocity that the service commands, and an image of each camera. Raises
+        DeviceNotConnectedError if the service has ended."""
         service = self._connected()
         try:
             state = service.state
@@ -177,7 +179,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def _joints(self, state: State) -> list[tuple[str, Scale, float]]:
-        """The angle of each joint, rad: as read, where that is fresh, and else where it was sent."""
+        """The angle of each joint, rad. This is the last reading if it is fresh, and otherwise the angle to which the
+        joint was sent."""
         found = []
         for name, scale in self._scales.items():
             joint = state.arm.joints.get(self.config.joints[name]) if state.arm else None
@@ -189,10 +192,12 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Hand an action on, and return it as the service was asked for it: joints within the settings' range. A
-        velocity that the action does not have is zero where it has another. Raises RobotStopped for a latched stop
-        (after_stop), ValueError for a number that is not finite or a name that LeKiwi does not have, and
-        DeviceNotConnectedError when the service has gone."""
+        """Send an action to the service. Returns the action as it was sent, with joints limited to the settings' range.
+        If an action has only some of the velocities, the others are zero.
+
+        Raises RobotStopped if a stop is latched (option `after_stop`), ValueError for a number that is not finite or a
+        name that LeKiwi does not have, and DeviceNotConnectedError if the service has ended.
+        """
         service = self._connected()
         if unknown := sorted(set(action) - set(self.action_features)):
             raise ValueError(f"no action {unknown[0]!r}: there are {', '.join(self.action_features)}")
@@ -202,7 +207,7 @@ class Failstop(Robot):  # type: ignore[misc]
             if (key := f"arm_{name}.pos") in action
         }
         given = {name: float(action.get(name, 0.0)) for name in VELOCITIES}
-        velocity = base_velocity(*given.values())  # before anything moves, since it may raise
+        velocity = base_velocity(*given.values())  # this may raise, so it comes before anything moves
         sent = {f"arm_{name}.pos": self._scales[name].number(angle) for name, angle in angles.items()}
         try:
             if angles:
@@ -222,29 +227,29 @@ class Failstop(Robot):  # type: ignore[misc]
             raise RobotStopped(str(service.why()))
 
     def _tell(self, part: str, why: str) -> None:
-        """Tell people why a part stands, when that is news."""
+        """Log why the wheels or the arm stand still, if the reason has changed."""
         if why != self._told[part]:
             self._told[part] = why
             if why:
                 logger.warning("the %s stand%s still: %s (`failstop why`)", part, "" if part == "wheels" else "s", why)
 
     def stop_base(self) -> None:
-        """Bring the wheels to rest, as LeKiwi's host asks for when it hears nothing."""
+        """Stop the wheels, as LeKiwi's host does when it receives nothing."""
         self._connected().drive(0.0, 0.0, 0.0, manual=self.config.manual, source=self.config.source, wait_s=0.0)
 
     def park(self) -> None:
-        """Bring the arm to its tuck pose, then switch its torque off. Raises Refused, and lets nothing go then."""
+        """Move the arm to its tuck pose, then switch its torque off. Raises Refused, and then the torque stays on."""
         arm = self._connected().arm
         arm.pose("tuck")
         arm.release()
 
     def release(self) -> None:
-        """Switch the arm's torque off where it is: it falls. Raises Refused while motion is enabled."""
+        """Switch the arm's torque off where the arm is, so that it falls. Raises Refused while motion is enabled."""
         self._connected().arm.release()
 
     def disconnect(self) -> None:
-        """Leave: the wheels stop, motion that this robot enabled is disabled, and the arm is held, parked or released
-        (at_end)."""
+        """Disconnect from the service. The wheels stop, motion is disabled if this robot enabled it, and the arm is
+        held, parked or released (option `at_end`)."""
         service = self._connected()
         ends: dict[str, Callable[[], None]] = {"park": self.park, "release": self.release}
         try:
@@ -266,6 +271,6 @@ class Failstop(Robot):  # type: ignore[misc]
             logger.warning("the arm is held and not let go: %s", error)
 
     def _from_keyboard_to_base_action(self, pressed_keys: Collection[str]) -> dict[str, float]:
-        """The velocity by LeKiwi's keys: LeRobot's scripts for LeKiwi ask for it by this name."""
+        """The velocity for these keys. LeRobot's scripts for LeKiwi call it by this name."""
         self._level = keys.level_after(self._level, pressed_keys, self.config.teleop_keys)
         return keys.velocity(self._level, pressed_keys, self.config.teleop_keys)

@@ -1,9 +1,10 @@
-"""Units: LeRobot's numbers for a joint from failstop's angles, and back. Pure.
+"""Units: converts between failstop's angles and LeRobot's numbers for a joint. Pure.
 
-A calibration file of LeRobot has the ends of each joint's range in positions of its servo. A settings file of failstop
-has low and high in the same positions, so a position is what both sides know: angles go through Joint.pulses and
-Joint.rad, and numbers by the rule that LeRobot's own motor bus has for the calibration. Another soft limit in the
-settings therefore leaves the numbers, and a policy that was trained on them, as they are.
+Both sides know the positions of a joint's servo. A calibration file of LeRobot has the ends of the joint's range as
+positions, and so have failstop's settings (low and high). So an angle is first converted to a position, by
+Joint.pulses. Then the position is converted to a number, by the rule of LeRobot's own motor bus for this calibration.
+The way back uses Joint.rad. As a result, another soft limit in the settings does not change the numbers, nor a policy
+that was trained on them.
 """
 
 from __future__ import annotations
@@ -14,27 +15,27 @@ from typing import NamedTuple, Protocol
 
 
 class Joint(Protocol):
-    """A joint as `failstop.Robot.arm.joints` has it."""
+    """A joint as in `failstop.Robot.arm.joints`."""
 
     servo: int
     low: float
     high: float
 
     def pulses(self, angle_rad: float) -> float:
-        """The position of the servo at an angle."""
+        """The servo's position at this angle."""
 
     def rad(self, pulses: float) -> float:
-        """The angle at a position of the servo."""
+        """The angle at this position of the servo."""
 
     def turned(self, angle_rad: float) -> float:
-        """The change of the position by a change of the angle."""
+        """How far the servo's position changes if the angle changes by `angle_rad`."""
 
     def range_rad(self) -> tuple[float, float]:
-        """The angles that it may be sent to, the smaller first."""
+        """The angles to which the joint may be sent: (smallest, largest)."""
 
 
 class Unit(Enum):
-    """Unit of a joint's number."""
+    """The unit of a joint's numbers in LeRobot."""
 
     SHARE = "-100 to 100 over the calibrated range"
     GRIP = "0 to 100 over the calibrated range"
@@ -47,11 +48,11 @@ class Reach(NamedTuple):
     low: float
     high: float
     inverted: bool = False
-    """LeRobot's drive_mode: a higher position is a smaller number; degrees do not know it."""
+    """LeRobot's drive_mode: True if a higher position is a smaller number. It does not affect degrees."""
 
 
 def number(position: float, reach: Reach, unit: Unit, turn: float) -> float:
-    """The number of a position. `turn`: positions of a whole turn."""
+    """The number for a position. `turn`: how many positions make a whole turn."""
     low, high, inverted = reach
     if unit is Unit.DEGREES:
         return (position - (low + high) / 2) * 360 / (turn - 1)
@@ -61,7 +62,8 @@ def number(position: float, reach: Reach, unit: Unit, turn: float) -> float:
 
 
 def position(value: float, reach: Reach, unit: Unit, turn: float) -> float:
-    """The position of a number, within the calibrated range but for degrees. `turn`: as for number()."""
+    """The position for a number. It is limited to the calibrated range, except in degrees. `turn`: how many positions
+    make a whole turn."""
     low, high, inverted = reach
     if unit is Unit.DEGREES:
         return value * (turn - 1) / 360 + (low + high) / 2
@@ -71,10 +73,11 @@ def position(value: float, reach: Reach, unit: Unit, turn: float) -> float:
 
 
 class Scale:
-    """LeRobot's numbers of one joint of a service."""
+    """Converts between LeRobot's numbers and the angles of one joint."""
 
     def __init__(self, name: str, joint: Joint, reach: Reach | None, unit: Unit) -> None:
-        """`reach`: by a calibration; None: what the settings allow. Raises ValueError for an empty one."""
+        """`reach`: the calibrated range, or None to use the range in the settings. Raises ValueError if the range is
+        empty."""
         self.name = name
         self._joint, self._unit = joint, unit
         self._reach = reach or Reach(joint.low, joint.high)
@@ -83,11 +86,12 @@ class Scale:
             raise ValueError(f"joint {name}: a range from {self._reach.low:g} to {self._reach.high:g} is none")
 
     def number(self, angle_rad: float) -> float:
-        """LeRobot's number of an angle."""
+        """LeRobot's number for this angle."""
         return number(self._joint.pulses(angle_rad), self._reach, self._unit, self._turn)
 
     def angle_rad(self, value: float) -> float:
-        """The angle of LeRobot's number, within what the settings allow. Raises ValueError for one not finite."""
+        """The angle for LeRobot's number, limited to the range in the settings. Raises ValueError if the number is not
+        finite."""
         if not isfinite(value):
             raise ValueError(f"arm_{self.name}.pos is {value}: every value must be finite")
         low, high = self._joint.range_rad()
@@ -95,12 +99,12 @@ class Scale:
 
 
 def base_numbers(vx_mps: float, vy_mps: float, wz_radps: float) -> dict[str, float]:
-    """LeKiwi's numbers of a velocity: m/s, m/s, deg/s."""
+    """LeKiwi's numbers for a velocity: x.vel and y.vel in m/s, theta.vel in deg/s."""
     return {"x.vel": vx_mps, "y.vel": vy_mps, "theta.vel": degrees(wz_radps)}
 
 
 def base_velocity(x: float, y: float, theta: float) -> tuple[float, float, float]:
-    """Velocity in m/s, m/s, rad/s of LeKiwi's numbers. Raises ValueError for one that is not finite."""
+    """The velocity (m/s, m/s, rad/s) for LeKiwi's numbers. Raises ValueError if one is not finite."""
     for name, value in zip(("x.vel", "y.vel", "theta.vel"), (x, y, theta), strict=True):
         if not isfinite(value):
             raise ValueError(f"{name} is {value}: every value must be finite")

@@ -1,7 +1,8 @@
-"""A controller manager on failstop: `ros2 launch failstop_ros2_control failstop.launch.py base:=diff`.
+"""Starts a controller manager that drives through failstop: `ros2 launch failstop_ros2_control failstop.launch.py
+base:=diff`.
 
-systemd starts failstop's service, not this launch: it stops the robot whatever happens to the controller manager. The
-controller manager is started again when it has died, and moves nothing before somebody enables motion.
+It does not start failstop's service. systemd starts that, so the service stops the robot even if the controller manager
+fails. A controller manager that has died is restarted, but it moves nothing until somebody enables motion.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ ARGUMENTS = {
 
 
 def _spawners(names: tuple[str, ...], controllers: str) -> list[Node]:
-    """They end as soon as the controllers are active."""
+    """The nodes that load the controllers. They exit as soon as the controllers are active."""
     return [
         Node(
             package="controller_manager",

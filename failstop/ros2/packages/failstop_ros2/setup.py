@@ -1,4 +1,4 @@
-"""The ROS package: an executable and a launch file around the bridge, which is a part of failstop itself."""
+"""The ROS package: an executable and a launch file for the bridge, which itself is a part of failstop."""
 
 from setuptools import setup
 

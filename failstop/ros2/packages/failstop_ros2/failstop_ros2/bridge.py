@@ -6,13 +6,14 @@ import glob
 import sys
 
 INCOMPLETE = 78
-"""The exit code with which the launch file does not start it again, as failstop's own for a missing package."""
+"""The exit code if a package is missing, which is also failstop's own. With this code the launch file does not restart
+the bridge."""
 INSTALLED = "/opt/failstop/site-packages"
 
 
 def main() -> int:
-    """Run the bridge of the failstop that is installed; returns the exit code."""
-    # Behind everything else: what ROS was built with comes first, numpy above all.
+    """Run the bridge of the installed failstop. Returns the exit code."""
+    # Last, so that packages with which ROS was built come first, above all numpy.
     sys.path += glob.glob(INSTALLED)
     try:
         from failstop.cli import main as cli

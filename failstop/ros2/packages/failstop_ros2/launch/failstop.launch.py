@@ -1,6 +1,8 @@
-"""The bridge, and where the laser and the IMU are on the robot: `ros2 launch failstop_ros2 failstop.launch.py`.
+"""Starts the bridge, and publishes where the laser and the IMU are on the robot: `ros2 launch failstop_ros2
+failstop.launch.py`.
 
-systemd starts the service itself, which needs no ROS and stops the robot even if this launch fails.
+It does not start failstop's service. systemd starts that, without ROS, so the service stops the robot even if this
+launch fails.
 """
 
 from __future__ import annotations
@@ -35,27 +37,29 @@ PARAMETERS = {
     "base_frame_id": ("base_link", "child frame of wheel/odom"),
     "imu_frame_id": ("imu_link", "frame of imu/data_raw"),
 }
-"""Parameters of the bridge. One that is not given as an argument is that of params_file, or this default."""
+"""The parameters of the bridge, each with its default and its description. A parameter that is not given as an argument
+has its value in params_file, or this default."""
 
 INCOMPLETE = 78
-"""The bridge ends with this code when ROS or a package that it needs is missing, and says which."""
+"""The exit code of a bridge that can't run because ROS or a package that it needs is missing. It also logs what is
+missing."""
 
 
 def _ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
-    """Don't respawn a bridge that can't run as it is installed: it would say the same again each second."""
+    """Don't restart a bridge that can't run as it is installed, because it would only fail again each second."""
     if event.returncode != INCOMPLETE:
         return None
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
 def _argument(context: LaunchContext, name: str) -> str:
-    """An argument of this launch; of a parameter that is not given, its default."""
+    """The value of an argument of this launch. If it is a parameter of the bridge that was not given, its default."""
     given: str = LaunchConfiguration(name).perform(context)
     return given or (PARAMETERS[name][0] if name in PARAMETERS else "")
 
 
 def _placed(context: LaunchContext, frame: str, prefix: str) -> Node:
-    """A static transform from the base."""
+    """A node that publishes a static transform from the base to `frame`."""
     words = []
     for part in PLACE:
         words += [f"--{part}", LaunchConfiguration(f"{prefix}_{part}")]
@@ -70,7 +74,8 @@ def _placed(context: LaunchContext, frame: str, prefix: str) -> Node:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    """The bridge, with the parameters of the file and, above them, the arguments; and the static transforms."""
+    """The nodes to start: the bridge, and the static transforms. The arguments override the parameters in
+    params_file."""
     file = _argument(context, "params_file")
     given = {name: LaunchConfiguration(name) for name in PARAMETERS if LaunchConfiguration(name).perform(context)}
     bridge = Node(
