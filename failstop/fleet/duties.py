@@ -1,7 +1,7 @@
 """Duties: decides which fleet stops this robot obeys, and which answers it sends about them. Pure.
 
 A robot requests the stop first, and saves the stop's id afterwards. If it crashes in between, it may obey the same stop
-twice. The other order could lose a stop.
+twice. If it saved the id first, a crash could lose the stop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from failstop.fleet.replay import Seen
 
 FOLLOWED_S = 6.0
-"""How long a stop is followed, s. All its proofs are known by then."""
+"""How long the robot watches the progress of a stop, s. All its proofs are known by then."""
 AGAIN_EVERY_S = 0.25
 """The shortest time between two answers to a stop that its sender repeats, s."""
 MOST_DUTIES = 32
@@ -137,7 +137,8 @@ class Duties:
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """Follow a stop that was requested at `now_s`. `before`: the service's state before the request."""
+        """Start to watch the progress of a stop that was requested at `now_s`. `before`: the service's state before the
+        request."""
         self._seen.obeyed(order.id, order.unix_s, unix_s)
         duty = self._duties[order.id] = Duty(order, now_s, unix_s, before)
         self._followed = [*self._followed, duty][-MOST_DUTIES:]

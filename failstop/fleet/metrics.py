@@ -112,8 +112,8 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """The measured speed of each wheel. There are no samples if the reading is old, because the wheels may turn
-    differently since."""
+    """The measured speed of each wheel. There are no samples if the reading is old, because the speeds may have changed
+    since then."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []

@@ -8,7 +8,7 @@ MANY_AGAIN_S = 1.5
 """The time until a stop is sent again while many robots are missing, s. It is longer, because every robot answers every
 sending."""
 MANY = 100
-"""More missing robots than this are many."""
+"""If more robots than this are missing, they count as many."""
 LATEST_S = 4.5
 """The longest time until a stop is sent again, s. While answers still arrive, sending it again is postponed up to this
 time. A thousand robots take two seconds to answer, and they would take four if they had to answer twice."""

@@ -71,7 +71,8 @@ class Robot:
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
         """How long the robot has shown no sign of life, s, as far as is known. If there is only a message that the
-        broker had stored, its age is computed from the robot's clock. It is too small if that clock is ahead."""
+        broker had stored, its age is computed from the robot's clock. If the robot's clock is ahead, the result is too
+        small."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s

@@ -108,7 +108,7 @@ class FleetSettings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse settings that would have no effect, because their owner would believe to be protected by them."""
+        """Refuse settings that would have no effect, because their owner would feel protected although nothing is."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
@@ -140,8 +140,8 @@ class FleetSettings:
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """The robot's name in the fleet, for the service `name`. Raises SettingError if it would be the computer's host
-        name, but that is not allowed as a robot's name."""
+        """The robot's name in the fleet, for the service `name`. Without the setting robot.id, it is made from the
+        computer's host name. Raises SettingError if the host name can't be a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()

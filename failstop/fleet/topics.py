@@ -2,7 +2,7 @@
 
 failstop/v1/FLEET/stop                      to all robots: stop
 failstop/v1/FLEET/stop/ROBOT                to one robot: stop
-failstop/v1/FLEET/answer/STOP_ID/ROBOT      what became of it there
+failstop/v1/FLEET/answer/STOP_ID/ROBOT      the robot's answer to this stop
 failstop/v1/FLEET/robot/ROBOT/connection    retained, as are the robot's state and its last event
 """
 

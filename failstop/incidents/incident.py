@@ -127,7 +127,7 @@ class Incident:
         last_ns = self.words(layout.STOPPER).get("written_ns", 0)
         ids = wheel_ids(self.settings)
         self.wheels = WHEEL_NAMES[len(ids)]
-        """The names of the wheels, in the order of their numbers."""
+        """The names of the wheels, in the order in which the settings number them."""
         spoken = self._board()
         writes = [_write(spoken, ids, ns, layout.PORT_OWNER, *written) for ns, written in wire]
         writes += [_write(spoken, ids, ns, layout.SUPERVISOR, box.WIRE_BURST) for ns, times in supervisor if not times]
@@ -151,8 +151,8 @@ class Incident:
         """(time, (mode, who, aims)): where the arm was to move, ten times a second while somebody moved it."""
         heard = [self._entries(process, "received", bytes) for process in HEARERS]
         self.received = sorted(heard[0] + heard[1], key=lambda entry: entry[0])
-        """(time, bytes) of everything that the board sent in the last seconds. The port owner's entries are from times
-        without a telemetry process."""
+        """(time, bytes) of everything that the board sent in the last seconds. Usually the telemetry process recorded
+        it. While telemetry was not running, the port owner did."""
         self.received_from_ns = [at_ns for process in HEARERS if (at_ns := self._first_kept_ns(process, "received"))]
         """For each ring that has lost its oldest entries: the time of the oldest bytes that it still has. The file does
         not have what the board sent before that."""

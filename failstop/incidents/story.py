@@ -25,17 +25,17 @@ stop."""
 NO_NEWS = frozenset(
     ("stop_outcome", "stop_also", "incident", "restarting", "gyro", "charger", "ready", "link", "battery", "stopping")
 )
-"""Kinds of events that brief() leaves out, because the facts above the story have them already, or because they don't
-help to explain the stop."""
+"""Kinds of events that brief() leaves out. Either the summary above the story has them already, or they don't help to
+explain the stop."""
 FRAMES = {
     WriteSort.ZERO: "zero frames",
     WriteSort.ARM: "frames for the arm",
     WriteSort.PING: "pings, which the board answers",
     WriteSort.REST: "the rest of what the port had not taken",
 }
-"""The text for kinds of writes whose frames need not be told apart."""
+"""The text for kinds of writes whose frames are all alike, so that their bytes need not be shown."""
 MOST_LINES = 10
-"""How many lines brief() returns. With the facts above them, they fit a terminal of 24 lines."""
+"""How many lines brief() returns. With the summary above them, they fit a terminal of 24 lines."""
 BEGINNINGS = ("reset", "ready")
 """Kinds of events that begin a new chapter. Whatever ended before the last of these events belongs to an earlier
 stop."""
@@ -43,7 +43,7 @@ KEPT = ("enabled", "command")
 """The newest line of each of these kinds before the cause is always in brief(). They show which program enabled motion,
 and which program drove."""
 LESSER = ("gate", "command")
-"""Kinds of lines that brief() drops first, because the facts have most of their content."""
+"""Kinds of lines that brief() drops first, because the summary above the story has most of their content."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class Line:
     """When something that began at `ns` was last seen. 0 if it was only a moment."""
     count: int = 1
     routine: bool = False
-    """True if brief() may leave the line out, because it explains nothing or because the facts have it already."""
+    """True if brief() may leave the line out, because it explains nothing or because the summary above the story has it
+    already."""
 
 
 def whole(incident: Incident) -> list[Line]:
@@ -216,7 +217,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
 def _events(incident: Incident) -> Iterator[Line]:
     """The logged events. If the run has ended, also the causes that nobody was left to log."""
     for event in incident.events:
-        # The facts already show the event of this stop.
+        # The summary above the story already shows the event of this stop.
         own = event.fields.get("cause") == incident.cause.kind.name and event.ns >= incident.cause_ns
         routine = own if event.kind == "stop" else event.kind in NO_NEWS
         mark = "! " * (event.level in ("error", "critical"))

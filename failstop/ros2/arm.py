@@ -59,12 +59,12 @@ class ArmFace:
         """Jobs that hold the arm. If one of them fails, a stop is latched."""
         self._goal_job: Job | None = None
         self._sender: Unwatched | None = None
-        """The sender of the goal from the topic to which the arm is moving. None once the arm is held."""
+        """Watches the sender of the topic's goal while the arm moves to that goal. Otherwise None."""
         self._way_job: Job | None = None
         """The job of the action's goal."""
         self._waited_ns = waited_ns
         self.goal_timeout_s = 0.5
-        """A goal older than this starts nothing, s (setting arm.goal_timeout_s)."""
+        """How old a goal may be, s (setting arm.goal_timeout_s). An older goal is refused."""
         self.unwatched_s = 3.0
         """The longest allowed duration of a goal from the topic, s (setting arm.unwatched_s)."""
         self._turned_ns = monotonic_ns()
@@ -189,8 +189,8 @@ class ArmFace:
         self._turned_ns = now_ns
 
     def _old(self, waited_ns: int = 0) -> str:
-        """Why the current goal is too old to start anything. Empty if it is not. `waited_ns`: how long it has waited at
-        least."""
+        """Why the current goal is refused because it is too old. Empty if it is accepted. `waited_ns`: how long it has
+        waited at least."""
         now_ns = monotonic_ns()
         self._turned(now_ns)
         if now_ns - waited_ns < self._since_ns:
@@ -225,7 +225,7 @@ class ArmFace:
             self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _late(self, stamp: Any) -> str:
-        """Why a goal is refused because of its stamp. Empty if it is not."""
+        """Why a goal is refused because of its stamp. Empty if it is accepted."""
         who = names(publishers(self._node, self._topic))
         return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
 

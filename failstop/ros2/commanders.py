@@ -1,14 +1,13 @@
 """Commanders: which nodes publish cmd_vel, and whether a command may be passed on. Pure: the graph and the time are
 arguments.
 
-The graph is DDS's list of publishers. It contains each publisher of a topic, whatever its type and quality, and also a
-publisher that was killed up to 20 s ago. The graph is read before every command. It is also read 50 times a second, to
-notice publishers that are silent. A look only every 20 ms would not be enough, because commands of a second publisher
-would pass in between (36 of 48 tries, measured).
+The graph is DDS's list of publishers. It contains each publisher of a topic, whatever its type and quality. It also
+contains a publisher that was killed, for up to 20 s. The graph is read before every command, because commands of a
+second publisher would pass between two looks (36 of 48 tries with a look every 20 ms, measured). It is also read 50
+times a second, to notice publishers that are silent.
 
-On an overloaded machine a command may wait in a queue, and its publisher may have gone when the bridge reads it. This
-was measured in 66 of 400 tries, with delays of 0.1 to 0.7 s. So a command is judged by who published when it was
-received.
+On an overloaded machine a command may wait in a queue for 0.1 to 0.7 s. Its publisher may be gone by the time the
+bridge handles it (66 of 400 tries, measured). So a command is judged by who published when it was received.
 """
 
 from __future__ import annotations
@@ -142,7 +141,7 @@ class Commanders:
         self.count = 0
         self._counted_ns = 0
         self._good_ns: int | None = None
-        """Since this time every look has found at most one publisher, and none that is not allowed. None if the last
+        """Since this time every look has found at most one publisher, which must be an allowed one. None if the last
         look found something else."""
         self._looked_ns = 0
         self._nameless_ns: int | None = None
@@ -197,9 +196,9 @@ class Commanders:
         return node in self._allowed or node.rpartition("/")[2] in self._allowed
 
     def passes(self, received_ns: int) -> bool:
-        """True if a command may be passed on that DDS received at `received_ns` (CLOCK_MONOTONIC). For this, there must
-        have been at most one publisher, and none that is not allowed, from before that time until now. Otherwise the
-        command may be of a node that has left meanwhile. Read the graph before you call this."""
+        """True if a command may be passed on that DDS received at `received_ns` (CLOCK_MONOTONIC). From before that
+        time until now, the graph must have shown at most one publisher, and it must be an allowed one. Otherwise the
+        command may come from a node that has left meanwhile. Read the graph before you call this."""
         return self._good_ns is not None and self._good_ns < received_ns
 
     def holds(self, now_ns: int) -> bool:

@@ -133,8 +133,8 @@ class Inward:
         return waited_ns(self._received_ns, time_ns())
 
     def _watch(self) -> None:
-        """Assert the interlock, 20 times a second, and look after everything else now and then. If the executor hangs,
-        this is not called, so the interlock ends."""
+        """Assert the bridge's interlock, 20 times a second, and do everything else that is due from time to time. If
+        the executor hangs, this is not called, so the interlock expires."""
         now_ns = monotonic_ns()
         self._adopt_run()
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
@@ -233,7 +233,7 @@ class Inward:
         self._latch(reason(causes.ROS_NOT_FINITE, who))
 
     def _late(self, message: Any) -> str:
-        """Why a command is too old and is refused. Empty if it is not."""
+        """Why a command is refused because it is too old. Empty if it is accepted."""
         late_ns = self._lag.late_ns(self._commanders.publishers, self._sent_ns, self._received_ns or time_ns())
         if late_ns > self._timeout_s * 1e9:
             return words.repaired(late_ns / 1e9)

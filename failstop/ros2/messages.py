@@ -37,8 +37,8 @@ def _stamped(ns: int) -> tuple[int, int]:
 
 
 def imu_constant(frame: str, rate_variance: float) -> Fields:
-    """The fields that are the same in all Imu messages. The orientation is marked as missing, and nothing is said about
-    the acceleration's noise."""
+    """The fields that are the same in all Imu messages. The orientation is marked as missing, and the acceleration's
+    noise is left unknown."""
     diagonal = [rate_variance if at % 4 == 0 else 0.0 for at in range(9)]
     return {
         "header": {"frame_id": frame},

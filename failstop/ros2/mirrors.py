@@ -87,7 +87,7 @@ def values(settings: RobotSettings) -> dict[str, ParameterValue]:
 
 
 def refusal(name: str) -> str:
-    """Why a parameter can't be set, and what to change instead."""
+    """Why the bridge refuses to set a parameter, and what to change instead."""
     mirror = MIRROR_BY_NAME.get(name)
     if mirror is None:
         return f"{name} is read once, at the start of the bridge: set it in its launch file or YAML"

@@ -47,7 +47,7 @@ FROM = {
     "wheels": "the board's reports of the wheels",
     "commands": "the commands, because the board has not reported its wheels",
 }
-"""What people read for each Odometry.source."""
+"""The words that people read for each Odometry.source."""
 
 
 class Outward:

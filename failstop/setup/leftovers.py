@@ -1,8 +1,8 @@
-"""Leftovers: removes the files and the shared memory of killed services whose names were made for one use.
+"""Leftovers: cleans up after killed services that had one-time names, such as `setup-4711`.
 
-Usually a service removes what its last run has left when it is started again. But nobody starts a service named
-`setup-4711` again. So the next program that starts such a service removes what earlier ones have left: shared memory,
-the runtime folder, and a folder for files.
+Usually a service that is started again removes what its last run has left. But nobody starts `setup-4711` again. So the
+next program that starts such a service removes what earlier ones have left: shared memory, the runtime folder, and a
+folder for files.
 """
 
 from __future__ import annotations

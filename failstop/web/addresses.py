@@ -67,7 +67,7 @@ def terminal_text(found: dict[str, Any]) -> str:
 
 
 def qr(text: str) -> str:
-    """The QR code as block characters for a terminal; empty if segno is not installed."""
+    """The QR code as block characters for a terminal. Empty if segno is not installed."""
     try:
         import segno
     except ImportError:

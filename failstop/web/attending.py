@@ -37,8 +37,8 @@ class Attending:
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
-        """Call this after a viewer's answer has proved something new. It reports the proof to the gate, if it is the
-        newest. Returns an error text, or ""."""
+        """Call this after a viewer's answer has proved something new. If this viewer's proof is the newest of all, it
+        is reported to the gate. Returns an error text, or ""."""
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:

@@ -76,8 +76,8 @@ class Driving:
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """Drive as the command `said` asks. The viewer attends, and its answer has proved the command. Returns why the
-        robot does not drive, or ""."""
+        """Carry out a driving command of a viewer that attends. `said` is the command's text, which the viewer's answer
+        has proven. Returns why the robot does not drive, or ""."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF

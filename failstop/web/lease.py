@@ -46,8 +46,8 @@ class Lease:
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. Returns True if it proves that the device was present later than was known. `said`: a
-        command that came with the answer and is proved by it."""
+        """Check an answer. Returns True if it proves that the device was present at a later time than proven before.
+        `said`: a command that came with the answer and is proven by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

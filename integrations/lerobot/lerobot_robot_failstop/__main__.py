@@ -21,7 +21,7 @@ scan.gate = "off"   # LeKiwi has no obstacle sensor
 
 
 HIGHEST = 4095
-"""The highest position of a servo. Positions are 0 to this within one turn."""
+"""The highest position of a servo. One turn has the positions 0 to 4095."""
 FULL_TURN = "wrist_roll"
 """The joint that LeRobot allows to make a whole turn."""
 WIDEST, NARROWEST = 3500, 100

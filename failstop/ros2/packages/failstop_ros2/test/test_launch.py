@@ -14,19 +14,19 @@ from launch_testing.post_shutdown_test import post_shutdown_test
 
 SHARE = get_package_share_directory("failstop_ros2")
 NOBODY = "failstop-launch-test"
-"""The name of a service that does not run."""
+"""The name of a service that is not running."""
 
 
 @pytest.mark.launch_test
 def generate_test_description() -> LaunchDescription:
-    """The launch file with the parameter file to copy, for a service that is not there."""
+    """Run the launch file with its example of a parameter file, for a service that is not running."""
     arguments = {"name": NOBODY, "params_file": f"{SHARE}/config/bridge.yaml", "node": "base_driver"}
     source = PythonLaunchDescriptionSource(f"{SHARE}/launch/failstop.launch.py")
     return LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments.items()), ReadyToTest()])
 
 
 class TestStart(unittest.TestCase):
-    """While it runs."""
+    """Tests while the bridge is running."""
 
     def test_it_waits_for_the_service(self, proc_output: Any) -> None:
         proc_output.assertWaitFor("the bridge waits for it", timeout=30, stream="stderr")
@@ -34,7 +34,7 @@ class TestStart(unittest.TestCase):
 
 @post_shutdown_test()
 class TestEnd(unittest.TestCase):
-    """After it was told to end."""
+    """Tests after the bridge has ended."""
 
     def test_it_ends_cleanly(self, proc_info: Any) -> None:
         assertExitCodes(proc_info)
