@@ -1,8 +1,8 @@
 """Fleet: lets you watch and stop robots from another computer. It has the metrics for Prometheus, each robot's state on
 an MQTT broker, and a stop of the whole fleet.
 
-No stop of a robot depends on the fleet, and the fleet does not stop a robot that loses its connection. A broker notices
-a lost robot only after seconds, so this could not be done in time.
+No stop of a robot depends on the fleet, and the fleet does not stop a robot that loses its connection. Such a stop
+would come too late, because a broker notices a lost robot only after seconds.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ CLOSE_S = 1.0
 """How long to wait for the broker to end the connection after we have disconnected, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long deliver() may hand on messages if the newest come first, s. Messages that are left after that are dropped,
-the oldest of them."""
+"""How long deliver() may hand on messages if the newest come first, s. Older messages that are left after that are
+dropped."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""

@@ -258,9 +258,9 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raise FleetError if the robot is still alive. This waits for a sign of life if the broker reports the robot as
-    connected, because that report proves nothing. The broker also reports it for a robot that was switched off while
-    the broker was down."""
+    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, this waits for a sign
+    of life. The broker's report alone proves nothing, because it also reports this for a robot that was switched off
+    while the broker was down."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

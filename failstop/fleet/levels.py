@@ -62,8 +62,8 @@ class StopAnswer:
     """The id of the stop that it answers."""
     robot: str
     reached: dict[str, float]
-    """All levels that the stop has reached on this robot. The value of each is how many seconds after the request it
-    was reached."""
+    """All levels that the stop has reached on this robot. The value of a level is the time from the request until the
+    stop reached it, s."""
     why: str = ""
     """Why the stop was refused or has failed. Otherwise empty."""
     confirms: str = ACKNOWLEDGED

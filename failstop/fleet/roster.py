@@ -156,8 +156,8 @@ def _text(found: object) -> str:
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """The value if it is a number in this range, else None. The range also excludes NaN and integers of any length,
-    which Python accepts in JSON."""
+    """The value if it is a number in this range, else None. So the result is never NaN or a huge integer, both of which
+    Python accepts in JSON."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)

@@ -60,9 +60,9 @@ class Tally:
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
-        """For each robot, the level that confirms a stop there, as the robot has reported it."""
+        """For each robot, the level that confirms its stop, as the robot has reported it."""
         self._reached_it: set[str] = set()
-        """Robots that have reached the level that confirms a stop there."""
+        """Robots that have reached the level that confirms their stop."""
         self._barred: dict[str, str] = {}
         """Robots that can't count as confirmed, each with the reason."""
         self._publishers: dict[str, set[str]] = {}
@@ -168,7 +168,7 @@ class Tally:
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:
-        """The robots that have confirmed the stop, each with the level that confirms it there."""
+        """The robots that have confirmed the stop, each with the level that confirmed it."""
         return {robot: self._confirms[robot] for robot in sorted(self._reached_it - self._barred.keys())}
 
     def missing(self) -> list[Missing]:

@@ -73,8 +73,8 @@ class Twins:
         """The numbers of the other publishers, at most MOST. None is ever removed: a robot that was switched off or
         renamed has used this name too, and may still be driving. Only a restart of this publisher clears the set."""
         self.again = False
-        """True if this publisher must publish its connection message again. Either the broker has stored no message, or
-        one of another publisher, or this publisher has heard a new number."""
+        """True if this publisher must publish its connection message again. There are two possible reasons. The broker
+        has stored no message, or one of another publisher. Or this publisher has heard a new number."""
         self._own = own
         self._started_s = started_s
         self._connections = 0

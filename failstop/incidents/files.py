@@ -354,8 +354,8 @@ def _shown_at(head: dict[str, Any], wanted: str) -> bool:
 
 
 def nothing(name: str, environ: Mapping[str, str]) -> str:
-    """A message for people if no incident was found. It says so, and names what keeps incidents from being saved, if
-    that is known."""
+    """A message for people if no incident was found. If something keeps incidents from being saved, the message names
+    it."""
     where = places(name, environ)
     reasons = [why for place in where if os.path.isdir(place) and (why := durable.no_room(place))]
     reasons = list(dict.fromkeys(reasons)) or [why for why in [durable.no_room(where[0])] if why]

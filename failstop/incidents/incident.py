@@ -114,7 +114,8 @@ class Incident:
         self.machine: dict[str, Any] = body["machine"]
         self._segments: dict[str, Any] = body["segments"]
         self.foreign = head["layout"] != layout.LAYOUT_VERSION
-        """True if a failstop with another record layout has saved it. Then only the head and the events can be read."""
+        """True if the file was saved by a version of failstop with another record layout. Then only the head and the
+        events can be read."""
         self.undecoded = 0
         self.ticks = [Tick(ns, **found) for ns, found in self._entries(layout.GATE, "box", box.unpack_gate)]
         """The gate's decisions, one for each tick."""

@@ -2,7 +2,7 @@
 
 The supervisor (supervisor/blackbox.py) runs it as `python -I -S saver.py key=value ...`, and passes its own search
 path. The saver reads the shared memory through descriptors from the supervisor, so it also works if the run has ended.
-If the saver fails, the supervisor logs one line. No stop waits for it.
+If the saver fails, the supervisor logs one line. No stop waits for the saver.
 """
 
 # ruff: noqa: E402 - this script must set its search path and its priority before it imports anything.
@@ -45,12 +45,18 @@ MOST_SAID = 500
 
 
 def main(words: dict[str, str]) -> int:
-    """Save one incident. Writes to the result pipe which incident was saved, or an empty map if a dead run has nothing
-    worth saving, or a map with the error as `wrong`. Returns the exit code.
+    """Save one incident. The outcome is written to the result pipe: which incident was saved, an empty map if a dead
+    run has nothing worth saving, or a map with the error as `wrong`. Returns the exit code.
 
-    `words` has these keys: `name`, the service; `fds`, SEGMENT:FD,...; `keep` and `max_mb`, the limits of prune();
-    `result`, a pipe's write end; `until_ns`, when to copy; `hurry`, a pipe that is closed if the copy must be made at
-    once. For a run that is still alive there are also `cause_ns`, `epoch` and `cause`.
+    `words` has these keys:
+
+    - `name`: the service
+    - `fds`: the descriptors of the segments, as SEGMENT:FD,...
+    - `keep`, `max_mb`: how many incidents and how much data may stay in the folder
+    - `result`: the write end of the result pipe
+    - `until_ns`: when to copy
+    - `hurry`: a pipe that is closed if the copy must be made at once
+    - `cause_ns`, `epoch`, `cause`: the stop, if the run is still alive
     """
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as adjust:
         adjust.write("500")  # if memory runs out, the kernel must kill this process first

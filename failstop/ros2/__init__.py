@@ -3,7 +3,7 @@
 contract.py declares every topic, service and parameter as data. commanders.py decides who may command, and scan.py
 watches the obstacle sensor. messages.py, report.py, diagnostics.py, words.py and mirrors.py make the content of
 messages as plain data. transport.py chooses the transport of DDS. These modules are all pure. link.py, inward.py,
-outward.py and bridge.py connect them to ROS, and so do the modules of the arm's topics and action.
+outward.py, arm.py, trajectory.py and bridge.py connect them to ROS and to the service.
 
 The bridge uses only Robot and State of the API. So if the bridge fails, only the commands that it sent are lost.
 """

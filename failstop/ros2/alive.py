@@ -1,8 +1,7 @@
 """Alive: finds out whether the node that sent a goal is still alive. Pure: the time is an argument.
 
-DDS (Fast DDS) lists a killed process for up to 20 s, and a suspended one as long. But a live process acknowledges
-reliable messages at once, and the client of an action receives feedback. So missing acknowledgements show that the
-sender is gone.
+DDS (Fast DDS) lists a killed or suspended process for up to 20 s. But a live process acknowledges reliable messages at
+once, and the client of an action receives feedback. So missing acknowledgements show that the sender is gone.
 """
 
 from __future__ import annotations

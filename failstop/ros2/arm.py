@@ -1,7 +1,7 @@
 """The arm in ROS 2: goals, poses, hold and release. Each request is sent to the service in its own thread.
 
-The arm takes seconds to answer. The executor has only one thread, which also serves the bridge's interlock and its
-commands, so no callback may wait there. So a job waits for the arm in another thread, and the caller gets the answer
+The arm takes seconds to answer. No callback may wait that long, because the executor has only one thread, which also
+serves the bridge's interlock and its commands. Instead, a job waits in another thread, and the caller gets the answer
 when the job has ended.
 """
 

@@ -212,7 +212,7 @@ class Commanders:
 
     def wanted_type(self, now: str) -> str:
         """The message type to subscribe to. This is the type that is offered, if it is accepted. If nobody publishes,
-        or if both types are offered, it stays `now`."""
+        or if both types are offered, it stays the present type, `now`."""
         offered = {publisher.type for publisher in self.publishers} & set(self._accepted)
         return offered.pop() if len(offered) == 1 else now if now in self._accepted else self._accepted[0]
 

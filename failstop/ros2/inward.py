@@ -57,7 +57,8 @@ class Inward:
         self._link = link
         self._shared = shared
         self.arm: ArmFace | None = None
-        """The arm's part of the bridge. None until the service's settings are known, and without joints in them."""
+        """The arm's part of the bridge. None until the service's settings are known. It stays None if they have no
+        joints."""
         now_ns = monotonic_ns()
         self._accepted = COMMAND_TYPES[settings["cmd_vel_type"]]
         self._commanders = Commanders(self._accepted, settings["allowed_publishers"])

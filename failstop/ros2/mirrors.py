@@ -20,8 +20,8 @@ FIXED = "it is a fact of the robot, not a setting"
 
 
 class Mirror(NamedTuple):
-    """One parameter: its name, the settings that it shows, and the function that computes its value from them. Without
-    settings, its value is fixed."""
+    """One parameter: its name, the settings that it shows, and the function that computes its value from them. If it
+    shows no settings, its value is fixed."""
 
     name: str
     keys: tuple[str, ...]

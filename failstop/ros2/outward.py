@@ -1,8 +1,7 @@
 """Outward: a thread that publishes what the service reports. It also watches for nodes that publish cmd_vel but are
 silent.
 
-It sleeps between its turns, next to the thread that waits for messages, because sleeping costs less than waiting for
-messages.
+This thread sleeps between its turns instead of waiting for messages, because sleeping costs less.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ def kind_check(answer: str) -> str:
 
 
 def can_id_check(answer: str) -> str:
-    """Check that the answer is a CAN id, or the word none. The question is asked about the controller of a second
-    motor. Raises NotAnAnswer."""
+    """Check the answer to the question about the CAN id of the second motor's controller. It must be a number or the
+    word none. Raises NotAnAnswer."""
     text = answer.strip().lower()
     if text == NONE or (text.isdigit() and int(text) <= HIGHEST_CAN_ID):
         return text

@@ -106,8 +106,8 @@ def _run(words: list[str], said: str | None) -> tuple[int, bool]:
     arrived, after which this program must exit too.
 
     The command stops the wheels before it exits, so this function waits for it. Ctrl-C reaches the command directly
-    from the terminal. Other signals are passed on as SIGTERM. At signal number GIVES_UP the command is killed, because
-    it must hang.
+    from the terminal. Other signals are passed on as SIGTERM. At signal number GIVES_UP, the command is killed, because
+    it seems to hang.
     """
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
@@ -268,8 +268,8 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """The command that tests this robot on its stand. It names the file at `path`, unless that file is the installed
-    one, because the command would otherwise read the installed settings or find none."""
+    """The command that tests this robot on its stand. The command contains `path`, because it would otherwise read the
+    installed settings. If `path` is the installed file, it is left out."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 

@@ -1,8 +1,8 @@
 """The robots that setup knows. Each has a file, robots/NAME.toml. To add a robot, add a file.
 
-Keys that begin with `about.` are for people (name, port, remark), and all other keys are settings. A robot in a family
-that `board.robot` names needs no sizes in its file, because the service knows them. If people build a robot in
-different sizes, its file has `about.measure` instead of sizes, which tells them what to measure.
+Keys that begin with `about.` are for people (name, port, remark), and all other keys are settings. If `board.robot`
+names the robot's family, the file has no sizes, because the service knows them. Some robots are built in different
+sizes. Their files have no sizes either, but `about.measure`, a text about what to measure.
 """
 
 from __future__ import annotations

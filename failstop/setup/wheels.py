@@ -42,9 +42,9 @@ def names(count: int) -> list[str]:
 
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
-    """Check the answer about a wheel, and return it in its usual form. For example `fl+` means that the front left
-    wheel turned forward. The answer may also be again or faster, and with `spare` it may be none, because then an id
-    may have no wheel. Raises NotAnAnswer."""
+    """Check the answer about a wheel, and return it in its usual form. For example, `fl+` means that the front left
+    wheel turned forward. The answers again and faster are also allowed. With `spare`, an id may have no wheel, so the
+    answer none is allowed too. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
         return text
@@ -169,7 +169,7 @@ class Trial:
         return found
 
     def _legend(self) -> None:
-        """Explain how to answer the questions. This is printed once, before the first question."""
+        """Explain how to answer the questions. This is printed before the first question about the wheels."""
         if self._explained:
             return
         self._explained = True

@@ -51,7 +51,8 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """The operator with the newest proof, and that operator's lease. None if nobody has proved to be present."""
+        """The operator with the newest proof, and that operator's lease. None if no operator has proven to be
+        present."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 

@@ -26,8 +26,7 @@ class Closes(Protocol):
 T = TypeVar("T", bound=Closes)
 
 MOST = 256
-"""How many connections may be open at once, not counting websockets. A connection that becomes a websocket counts until
-then."""
+"""How many connections may be open at once. A connection counts until it becomes a websocket."""
 IDLE_S = 10.0
 """How long to wait for the head of the next request, s. Then the connection is closed."""
 BODY_S = 5.0

@@ -67,8 +67,8 @@ class Driving:
         (ns)."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """True if the operator of this device has chosen a speed limit, or needs none because driving is off or the
-        device is not paired."""
+        """True if the operator of this device has chosen a speed limit. It is also True if no choice is needed, because
+        driving is off or the device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
