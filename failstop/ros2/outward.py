@@ -166,8 +166,8 @@ class Outward:
 
     def _sample(self, sample: object) -> None:
         if isinstance(sample, Imu):
-            # Samples that the port had in one piece have one time, and a filter divides by the time between two
-            # samples. A clock that was set back is followed.
+            # Samples that arrived together have the same time, but filters divide by the time between samples. So
+            # each time must be later than the one before, unless the clock was set back.
             ros_ns = sample.t_ns + self._offset_ns
             self._imu_ns = ros_ns if self._imu_ns - ros_ns > CLOCK_NS else max(ros_ns, self._imu_ns + LEAST_NS)
             self._send(contract.IMU, messages.imu(sample, self._imu_ns))

@@ -91,7 +91,7 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         whole = helpers.python("failstop", *words)
         code, interrupted = _run(whole, CONSENT if agreed else None)
     if interrupted or code >= 128 or code < 0:
-        # The test itself has waited for a port that is unplugged, until the person ended that too.
+        # If the port is unplugged, the test has already waited for it, so don't wait again.
         halt.now(0.0 if code >= 0 else WAITS_S)
         raise KeyboardInterrupt
     for run in sorted(_runs(folder) - before):
@@ -241,7 +241,7 @@ def closing(
     for reason in (*evidence.get("unproved", ()), "stops on the ground, where wheels take longer to stop"):
         talk.say(f"not proved: {reason}", style.DIM)
     style.show([[], [("Next", style.STRONG)]])
-    # Whole lines, whatever their length: they are copied.
+    # Don't wrap these lines, because people copy them.
     style.show([[(f"   {command}", style.STRONG)] for command in commands(path, name)])
     if settings is not None:
         _guard(talk, Settings(dict(settings)), path, name)

@@ -1,8 +1,8 @@
-// Alive: checks whether the browser itself answers. If its main process hangs, this page still runs and answers the robot,
-// but gets no touches any more: it does not see a finger leave the stick or a button, and it does not see one on STOP.
+// Alive: checks whether the browser's main process answers. If it hangs, this page still runs and answers the robot, but gets
+// no touches: it can't see a finger leave the stick or a button, or touch STOP.
 const EVERY_MS = 100, MOST_MS = 500;
 export const TOO_OLD = navigator.locks ? "" : "This browser is too old: the page can't check whether it hangs.";
-let answered = -Infinity; // when the newest question that has an answer was asked
+let answered = -Infinity; // when the newest question was asked that the browser has answered
 let watches = false, turn = 0;
 
 // Locks are shared by all tabs, so only the main process can grant one.

@@ -41,13 +41,13 @@ addEventListener("lease", async ({detail}) => {
   let drive = command();
   if (!alive()) return;
   let answer = await sign(key, detail.nonce + drive);
-  if (drive && !command()) answer = await sign(key, detail.nonce + (drive = "")); // let go meanwhile
+  if (drive && !command()) answer = await sign(key, detail.nonce + (drive = "")); // the stick was let go meanwhile
   send({nonce: detail.nonce, answer, drive});
 });
 addEventListener("visibilitychange", () => { if (document.hidden) leave("You stopped attending, because the page was hidden."); });
 addEventListener("pagehide", () => leave("You stopped attending, because you left the page."));
 addEventListener("link-lost", () => { if (attends) leave("You stopped attending, because the connection was lost."); });
-// The robot treats a connection as what it was when it began, so a new pairing needs a new connection.
+// The robot looks at the pairing only when a connection begins, so connect again after pairing.
 addEventListener("paired", () => { known = false; reconnect(); });
 addEventListener("link-open", () => { known = true; show(); });
 addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired) leave(""); show(); });

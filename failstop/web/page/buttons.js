@@ -1,13 +1,13 @@
-// Buttons: what may move the robot, or let it go faster, is held for two seconds; the rest happens at a touch. Letting go,
-// sliding off, or anything unexpected, cancels. The robot measures the hold: this page says that it begins, again and again
-// that it lasts, and, when the robot says that it was long enough, that it lasts even now.
+// Buttons: a button that may let the robot move, or move faster, must be held for two seconds. Any other button needs only a
+// touch. Letting go, sliding off, or anything unexpected cancels the hold. The robot measures the time: this page reports that
+// a hold begins, and then again and again that it lasts. When the robot asks, the page confirms that it still lasts.
 import {post, send} from "/link.js";
 import {TOO_OLD, answer} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
 const TICK_MS = 100, LATE_MS = 400, SETTLES_MS = 30;
-const ASKED_MS = 1000; // no question to this device for this long: it does not attend
-const CLICK_MS = 3000; // a click that comes so soon after a finger is the finger's
+const ASKED_MS = 1000; // after this long without a question from the robot, this device does not attend
+const CLICK_MS = 3000; // a click this soon after a touch belongs to the touch
 let touched = -CLICK_MS, can = {}, limit = 100, epoch = 0, holding = null, asking = "", chosen = true, askedAt = -Infinity;
 
 function said(text, refused) {
@@ -35,7 +35,7 @@ function cancel(why) {
   if (typeof why === "string") said(why, true);
 }
 
-// A page that was held up has not seen whether the button was let go.
+// If this page was held up, it may have missed that the button was let go.
 function late() {
   const at = performance.now(), gap = at - holding.at;
   holding.at = at;
@@ -56,7 +56,7 @@ function begin(button) {
   holding = {button, id, at: performance.now(), timer: setInterval(tick, TICK_MS)};
 }
 
-// What the finger has done until now is heard first, by a browser that answers.
+// If the browser answers, it has delivered everything that the finger has done until now.
 async function enough(id) {
   const begun = performance.now();
   await answer().catch(cancel);
@@ -71,7 +71,7 @@ async function enough(id) {
   send({sure: id});
 }
 
-// A screen reader's click is over at once: it does what takes a touch, and is told how to hold what is held.
+// A screen reader's click is over at once. It works for buttons that need a touch, and explains how to hold the others.
 function click(button) {
   const {verb, percent} = button.dataset;
   if (can[verb] || verb === "disable" || percent <= limit) begin(button);
@@ -96,7 +96,7 @@ for (const button of document.querySelectorAll("#buttons button")) {
   button.addEventListener("contextmenu", (event) => event.preventDefault());
   button.addEventListener("keydown", (event) => {
     if (event.key !== "Enter") return;
-    event.preventDefault(); // no click of its own
+    event.preventDefault(); // so that no click follows
     if (!event.repeat) begin(button);
   });
   button.addEventListener("click", (event) => { if (event.timeStamp - touched > CLICK_MS) click(button); });
@@ -116,7 +116,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
   asking = "";
   said(text, !done);
 });
-// While a device attends, its stick waits for a choice of the limit: until then none is marked as chosen.
+// After a device begins to attend, its stick works only once a limit was chosen. Until then, no limit is marked as chosen.
 function showLimit() {
   if (performance.now() - askedAt > ASKED_MS) chosen = true;
   $("limit").dataset.percent = limit;

@@ -1,9 +1,9 @@
-// A chart: the last half minute, newest on the right; a gap where nothing was known.
+// Chart: shows the last half minute, with the newest value on the right. It has a gap wherever no value was known.
 const POINTS = 300;
-const EVERY_MS = 400; // more often nobody reads, and a finger on STOP waits for what is being drawn
+const EVERY_MS = 400; // drawing more often helps nobody, and a touch of STOP waits while the page draws
 export const later = window.requestIdleCallback || ((run) => setTimeout(run, 50));
 
-// A drawing that is wanted often, and done at most every EVERY_MS, when the page has nothing else to do.
+// Draws at most every EVERY_MS, when the page has nothing else to do, however often drawing is requested.
 export function seldom(draw) {
   let waits = false;
   return () => {
@@ -16,7 +16,7 @@ export function seldom(draw) {
 export class Chart {
   constructor(canvas, least) {
     this.canvas = canvas;
-    this.least = least; // the scale reaches this at least
+    this.least = least; // the scale goes at least up to this
     this.values = [];
   }
 

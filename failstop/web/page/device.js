@@ -5,7 +5,7 @@ import {forget, keep} from "/keys.js";
 const $ = (id) => document.getElementById(id);
 
 const AGAIN_MS = 2000;
-let asked = 0, shown = 0; // an answer that comes after a later one is old
+let asked = 0, shown = 0; // an answer that arrives after a later one is ignored
 
 function show({pairing, device, drive, lacks}, number = ++asked) {
   if (number < shown) return;

@@ -1,4 +1,4 @@
-// Drive: a thumb stick. Its command travels only with the answers that prove this device (attend.js).
+// Drive: a thumb stick. Its command is sent only together with the answers that prove this device (attend.js).
 import {send} from "/link.js";
 import {alive} from "/alive.js";
 
@@ -31,7 +31,7 @@ function release(why) {
   if (typeof why === "string") $("drive-why").textContent = why;
 }
 
-// The command for the robot's question that has just come; empty: none.
+// The command to send with the answer to the robot's question. Empty if there is none.
 export function command() {
   const now = performance.now(), gap = now - asked;
   asked = now;
@@ -40,7 +40,7 @@ export function command() {
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 
-// Before this device attends, the stick sends nothing, so nothing would answer it.
+// While this device does not attend, the stick sends nothing, so say why it has no effect.
 function ready() {
   const attends = $("attend").getAttribute("aria-pressed") === "true";
   $("drive-why").textContent = attends ? "" : "Not now: press ATTEND first.";

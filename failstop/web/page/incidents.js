@@ -1,10 +1,10 @@
-// Incidents: a card for each. Opening a card fetches its picture and its story, again and again until both exist.
+// Incidents: a card for each. Opening a card requests its picture and its story again and again, until both exist.
 import {inTurn} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
-const AGAIN_MS = 1000, LATER_MS = 4000; // a stop's file is written some seconds after it
-const FIRST = 5; // the older ones are a touch away
-const cards = new Map(); // one that is open stays open
+const AGAIN_MS = 1000, LATER_MS = 4000; // the file of a stop is written some seconds after the stop
+const FIRST = 5; // older incidents are shown after a touch
+const cards = new Map(); // kept, so that an open card stays open
 const rest = node("details", "");
 let shown = "", last = 0;
 
@@ -31,7 +31,7 @@ async function open(card, identity) {
   const base = `/api/incidents/${identity}`, list = node("ol", ""), wait = node("p", "Drawing the picture ...", {className: "dim"});
   card.append(wait, list);
   for (let whole = false; !whole; await new Promise((go) => setTimeout(go, AGAIN_MS))) {
-    if (!card.open) continue; // what nobody looks at is not asked for
+    if (!card.open) continue; // request nothing for a closed card
     const {story, picture} = await inTurn((signal) => ask(`${base}/story`, signal)).catch(() => ({}));
     if (story && !list.childElementCount) list.replaceChildren(...story.map(line));
     if (picture) whole = await inTurn((signal) => show(wait, `${base}/picture`, signal)).then(() => true, () => false);

@@ -1,4 +1,4 @@
-// Keys: the key that proves this device, kept so that no script can read it: it can be used, and not be copied.
+// Keys: stores the key that proves this device. Scripts can use the key, but can't read or copy it.
 const STORE = "lease", PLACE = "failstop";
 
 function opened() {

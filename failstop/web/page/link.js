@@ -1,5 +1,5 @@
-// The link: a websocket that comes back by itself, plain requests while nothing is heard by it, and those of the page that
-// can wait: one at a time, given up when somebody stops. A browser has six requests open at a time, and STOP must find one.
+// Link: a websocket that connects again by itself, and plain requests while the websocket is silent. Requests that can wait
+// are sent one at a time and given up when somebody stops, because a browser opens only six at a time, and STOP needs one.
 const LEAST_MS = 250, MOST_MS = 2000, POLL_MS = 500, SILENT_MS = 1500, DEAD_MS = 6000, PATIENT_MS = 10000, QUIET_MS = 1000;
 let socket = null, wait = LEAST_MS, heard = 0, line = Promise.resolve(), current = null, posting = null, stopped = -QUIET_MS;
 
@@ -18,7 +18,7 @@ export function reconnect() {
   if (socket) socket.close();
 }
 
-// Give up on a websocket that neither opens nor fails, or that went silent, because ending it may take minutes.
+// Replace a websocket that neither opens nor fails, or that has gone silent, because closing it may take minutes.
 function open(news) {
   const made = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/live`);
   const begun = performance.now();
@@ -60,7 +60,7 @@ async function patiently(work, most, given = new AbortController()) {
   try { return await work(given.signal); } finally { clearTimeout(timer); }
 }
 
-// What can wait: `work` gets a signal that says when to give up.
+// Do something that can wait. `work` gets a signal that tells it when to give up.
 export function inTurn(work) {
   const done = line.then(async () => {
     while (performance.now() - stopped < QUIET_MS) await rest(QUIET_MS);
@@ -76,7 +76,7 @@ addEventListener("stopping", () => {
   if (current) current.abort();
 });
 
-// A newer one takes the place of one that has no answer yet.
+// A new request replaces an earlier one that has no answer yet.
 export function post(path, body) {
   if (posting) posting.abort();
   posting = new AbortController();

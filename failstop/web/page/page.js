@@ -1,4 +1,4 @@
-// The page: shows what comes over the websocket. STOP is in stop.js, and needs none of this.
+// Page: shows what arrives over the websocket. STOP is in stop.js, and works without this file.
 import {Chart, later, seldom} from "/chart.js";
 import {connect} from "/link.js";
 import "/buttons.js";
@@ -9,7 +9,7 @@ import "/incidents.js";
 import "/view.js";
 
 const $ = (id) => document.getElementById(id);
-const STALE_MS = 1000; // after this long without news, the last word is no longer shown as true
+const STALE_MS = 1000; // after this long without a message, the last state is shown as old
 const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawSeldom = seldom(drawLive);

@@ -5,14 +5,14 @@
 (() => {
   const EVERY_MS = 300; // an answer comes within this time, whether the stop was written or not
   const LATER_MS = 2000;
-  const OFTEN = 60; // tries before it tries less often
-  const TOLD = 3; // tries before the page says that it is not written
+  const OFTEN = 60; // after this many tries it tries less often
+  const TOLD = 3; // after this many tries the page says that the stop is not written
   const ASIDE_MS = 4;
   const MOST_OPEN = 3; // of the six requests that a browser has open at a time
-  const PATIENT_MS = 3000; // for the answer to a request, and for a connection
-  const SILENT_MS = 1000; // of a websocket that owes an answer
+  const PATIENT_MS = 3000; // how long to wait for the answer to a request, and for a connection
+  const SILENT_MS = 1000; // after this long without an answer, a websocket counts as broken
   const CHECK_MS = 5000;
-  const CLICK_MS = 1000; // a click that comes so soon after a finger is the finger's
+  const CLICK_MS = 1000; // a click this soon after a touch belongs to the touch
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
   const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "or press Space or Escape";
@@ -23,7 +23,7 @@
     said.textContent = text;
     button.dataset.phase = phase;
     const alarm = phase === "failed" ? text : "";
-    if (heard.textContent !== alarm) heard.textContent = alarm; // writing it again makes a screen reader say it again
+    if (heard.textContent !== alarm) heard.textContent = alarm; // setting the same text again would make a screen reader repeat it
   }
 
   function rest() {
@@ -107,13 +107,13 @@
     const id = Math.random().toString(36).slice(2);
     const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.t};
     const sent = send(id);
-    dispatchEvent(new Event("stopping")); // what can wait gives up its connection
-    // What the browser does for a picture or a request would hold up the bytes of the websocket.
+    dispatchEvent(new Event("stopping")); // requests that can wait give up their connections
+    // Work of the browser on a picture or a request would delay the bytes of the websocket.
     if (sent) await new Promise((go) => setTimeout(go, ASIDE_MS));
     if (now === own) say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
     for (let number = 0; now === own; number++) {
-      own.last = number ? `${id}-${number}` : id; // a new stop, because the last one may be lost; the same one goes both ways
+      own.last = number ? `${id}-${number}` : id; // each try is a new stop, because the last may be lost; both ways send the same one
       if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) reconnect();
       request(own);
       await new Promise((next) => setTimeout(next, number < OFTEN ? EVERY_MS : LATER_MS));
@@ -141,10 +141,10 @@
     const newer = now && view.latched && view.stop && view.stop.written && view.stop.t !== now.before;
     if (newer) done(now, {asked: now.asked || view.stop.t, written: true});
   });
-  addEventListener("paired", connect); // the robot treats a connection as what it was when it began
+  addEventListener("paired", connect); // the robot looks at the pairing only when a connection begins
   addEventListener("unstopped", () => { if (!now) rest(); });
   rest();
-  // On touch-down, not when the finger is lifted; a click without one is a screen reader's or a keyboard's.
+  // Stop at touch-down, not when the finger is lifted. A click without a touch comes from a screen reader or a keyboard.
   button.addEventListener("pointerdown", (event) => { event.preventDefault(); touched = event.timeStamp; stop(); });
   button.addEventListener("click", (event) => { if (event.timeStamp - touched > CLICK_MS) stop(); });
   addEventListener("keydown", (event) => {

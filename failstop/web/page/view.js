@@ -1,4 +1,4 @@
-// View: while fingers enlarge the page, or a keyboard covers its foot, STOP follows to where it is seen, and keeps its size.
+// View: keeps STOP visible, at the same size, while fingers enlarge the page or a keyboard covers its lower end.
 const bar = document.getElementById("bar"), view = window.visualViewport;
 
 function follow() {

@@ -1,4 +1,4 @@
-// The state interfaces that a sensor of the URDF may list, each with what it shows of the service.
+// The state interfaces that a sensor of the URDF may list. Each shows one value of the service's state.
 #pragma once
 
 #include <failstop.hpp>
@@ -8,7 +8,7 @@
 namespace failstop_ros2_control
 {
 
-/// A reading older than this, s, says nothing of now and is shown as NaN. The bridge to ROS 2 has the same bound.
+/// A reading older than this, s, is shown as NaN, because it may not be true any more. The ROS 2 bridge does the same.
 constexpr double OLD_S = 0.5;
 /// The battery is reported about once a second.
 constexpr double BATTERY_OLD_S = 10.0;
@@ -20,10 +20,10 @@ struct Reading
   double (*of)(const failstop::State &);
 };
 
-/// The reading of that name, or nullptr.
+/// The reading with this name, or nullptr.
 const Reading * reading_of(const std::string & name);
 
-/// All their names, for a message.
+/// The names of all readings, for a message.
 std::string reading_names();
 
 }  // namespace failstop_ros2_control

@@ -1,4 +1,4 @@
-// Logs why nothing moves, whenever that changes. The real-time loop must not log, so a thread of its own does.
+// Logs why nothing moves, whenever the reason changes. It has its own thread, because the real-time loop must not log.
 #pragma once
 
 #include <condition_variable>
@@ -20,9 +20,9 @@ public:
   Reporter & operator=(const Reporter &) = delete;
   ~Reporter() { stop(); }
 
-  /// `robot` must outlive stop(). Does nothing if the system has no thread left: then nothing is logged.
+  /// `robot` must exist until stop() has returned. If no thread can be started, nothing is logged.
   void start(const failstop::Robot & robot);
-  /// Returns when the thread has ended, which takes no longer than the line that it may be writing.
+  /// Ends the thread and waits for it. This takes no longer than the line that it may be logging.
   void stop();
 
 private:

@@ -17,7 +17,7 @@
 #include "reporter.hpp"
 #include "wheels.hpp"
 
-// From 4.38 on, on_init gets this struct, and the framework keeps the values of the interfaces. Before, we keep them.
+// Since 4.38, on_init gets this struct, and the framework keeps the interfaces' values. In older releases we keep them.
 #if __has_include("hardware_interface/types/hardware_component_interface_params.hpp")
 #include "hardware_interface/types/hardware_component_interface_params.hpp"
 #define FAILSTOP_FRAMEWORK_KEEPS_VALUES 1
@@ -38,7 +38,7 @@ public:
   System();
   System(const System &) = delete;
   System & operator=(const System &) = delete;
-  /// Stops as on_deactivate() does if nobody has called that.
+  /// Stops the wheels, as on_deactivate() does, if on_deactivate() was not called.
   ~System() override;
 
 #if FAILSTOP_FRAMEWORK_KEEPS_VALUES
@@ -53,7 +53,7 @@ public:
   CallbackReturn on_configure(const rclcpp_lifecycle::State & previous) override;
   /// Take a client slot. Motion is never enabled here: this runs again whenever the controller manager is respawned.
   CallbackReturn on_activate(const rclcpp_lifecycle::State & previous) override;
-  /// The wheels stop, and motion is disabled; if the service does not answer to that, a stop is latched.
+  /// Stop the wheels and disable motion. If the service does not answer, a stop is latched.
   CallbackReturn on_deactivate(const rclcpp_lifecycle::State & previous) override;
   CallbackReturn on_cleanup(const rclcpp_lifecycle::State & previous) override;
   CallbackReturn on_shutdown(const rclcpp_lifecycle::State & previous) override;
@@ -63,17 +63,17 @@ public:
   return_type perform_command_mode_switch(
     const std::vector<std::string> & start, const std::vector<std::string> & stop) override;
 
-  /// ERROR: the service has ended, or with `on_latched` = error, a stop is latched.
+  /// Returns ERROR if the service has ended. With `on_latched` = error, also if a stop is latched.
   return_type read(const rclcpp::Time & time, const rclcpp::Duration & period) override;
-  /// ERROR: the service does not take the command.
+  /// Returns ERROR if the service does not accept the command.
   return_type write(const rclcpp::Time & time, const rclcpp::Duration & period) override;
 
 private:
-  /// A state interface and what it shows.
+  /// A state interface, and the value that it shows.
   struct Shown
   {
     std::string name;
-    /// Of a sensor; nullptr: of a joint.
+    /// What a sensor's interface shows. nullptr for a joint's interface.
     const Reading * reading;
     /// The joint's number.
     std::size_t joint;
@@ -97,7 +97,7 @@ private:
   failstop::Robot robot_;
   Reporter reporter_;
   bool active_ = false;
-  /// on_error() has asked for motion to be disabled, and did not wait for the answer.
+  /// True if on_error() has asked to disable motion and did not wait for the answer.
   bool unanswered_ = false;
 
   std::string service_, source_, interlock_;
@@ -105,18 +105,18 @@ private:
   bool error_on_latched_ = false;
 
   std::vector<Joint> joints_;
-  /// By joint, as long as joints_: the interface's name (empty: it has none), its value, whether a controller has it.
+  /// For each of joints_: its command interface's name (or empty), the value, and true if a controller has claimed it.
   std::vector<std::string> commands_;
   std::vector<double> values_;
   std::vector<bool> claimed_;
-  /// A deque, because the framework of old releases points to their values.
+  /// A deque, because in old releases the framework points to the values in it.
   std::deque<Shown> shown_;
 
   std::vector<std::string> wheels_;
   double ratio_ = 0.0;
   std::array<Turned, MOST_WHEELS> turned_;
   double steering_rad_ = 0.0;
-  /// The last command moved, so a zero has to follow.
+  /// True if the last command was not zero, so that a zero must follow.
   bool drove_ = false;
 };
 
