@@ -62,7 +62,8 @@ def present(look: Look) -> list[Finding]:
 
 
 def taken(system: System) -> list[Finding]:
-    """Check for a board that is plugged in but has no serial port, because another program or driver has taken it."""
+    """Check for a board that is plugged in but has no serial port, because brltty has taken it or no driver is loaded
+    for it."""
     chips = {**{usb: "a board's own port" for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}, **ADAPTERS}
     for usb in system.portless(chips):
         what = f"USB {usb} ({chips[usb]}) is plugged in but has no serial port"

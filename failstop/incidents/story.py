@@ -228,8 +228,8 @@ def _events(incident: Incident) -> Iterator[Line]:
 
 
 def _ended(incident: Incident, cause: Cause) -> str:
-    """The text for a process that the kernel ended because the supervisor died, which is by design. Empty for any other
-    cause."""
+    """The text for a process that the kernel ended when the supervisor died. The kernel does this by design, so the
+    text says so. Empty for any other cause."""
     process = PROCESS_BY_NAME.get(str(cause.named().get("process")))
     by_design = process and not process.outlives_supervisor and cause.kind is causes.DIED
     if not by_design or incident.cause != causes.DIED(layout.SUPERVISOR):

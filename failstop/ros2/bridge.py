@@ -135,7 +135,7 @@ class Bridge:
             raise self._shared.failed
 
     def _mirror_settings(self) -> None:
-        """Update the parameters that show settings, because a restarted service may have other settings."""
+        """After a restart of the service, update the parameters that show its settings."""
         if self._mirrored != self._shared.run and self._shared.settings is not None:
             self._mirrored = self._shared.run
             shown = mirrors.values(self._shared.settings)

@@ -168,7 +168,8 @@ class TrajectoryFace:
 
     async def _settle(self) -> None:
         """Wait until all clients of earlier goals have acknowledged their feedback. Raises Refused if one does not,
-        because it is dead or suspended, and then the client of a new goal could not be watched."""
+        which means that it is dead or suspended. While DDS still lists it, nobody could watch the client of a new
+        goal."""
         until_ns = monotonic_ns() + SETTLED_NS
         while not self._feedback.acknowledged():
             if monotonic_ns() > until_ns:
