@@ -122,8 +122,10 @@ abi: $(VENV)/.dev
 soak: $(VENV)/.dev
 	$(BIN)/python -m bench.soak
 
+# COUNT random faults on real processes, 110 a minute with Hiwonder's board. BOARD: as for `board`.
+COUNT ?= 10000
 chaos: $(VENV)/.installed
-	$(BIN)/failstop chaos --count 10000 --json chaos.json $(if $(BOARD),--board $(BOARD))
+	$(BIN)/failstop chaos --count $(COUNT) --json chaos.json $(if $(BOARD),--board $(BOARD))
 
 # For a night: every single fault at every call of every scenario, on a simulated machine, then drawn runs for SEEDS seconds of each
 # processor, from the seed of the day on (lab/failstop_lab/simulate/README.md). BOARD: as for `board`.
@@ -133,14 +135,15 @@ simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
 
 # Every single fault of a process at its own calls, on the simulated machine: three minutes of two processors. PART=3/4: a part of it.
+# BOARD: as for `board`.
 PART ?=
 faults: $(VENV)/.dev
-	$(BIN)/failstop simulate --own $(if $(PART),--part $(PART))
+	$(BIN)/failstop simulate --own $(if $(PART),--part $(PART)) $(if $(BOARD),--board $(BOARD))
 
-# Drawn runs for so many SECONDS of each processor, from the seed of the day on.
+# Drawn runs for so many SECONDS of each processor, from the seed of the day on. BOARD: as for `board`.
 SECONDS ?= 60
 seeds: $(VENV)/.dev
-	$(BIN)/failstop simulate --seeds $(SECONDS) --day
+	$(BIN)/failstop simulate --seeds $(SECONDS) --day $(if $(BOARD),--board $(BOARD))
 
 # Each part of the protocol taken out in turn, and missed: the page of them (docs/reference/controls.md).
 controls: $(VENV)/.dev

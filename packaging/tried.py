@@ -5,6 +5,7 @@ A run that fails is kept too, as a failure. Without ROWS it lists what there is.
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import subprocess
@@ -13,6 +14,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from failstop.board.kinds import ALL_KINDS
+from failstop_lab.faults.report import processor_ticks
 from failstop_lab.pages import tried
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,6 +26,20 @@ BARS = re.compile(r"^    bar: .*  (met|MISSED)$", re.MULTILINE)
 """A line below each row of a bench's table that has a bar."""
 EQUAL = re.compile(r"^built twice, (equal to the byte: \d+ files)$", re.MULTILINE)
 """The last line of `make reproduce`."""
+SUMMARY = re.compile(
+    r"^(?:"
+    r"(\d+ faults in \d+ s: .* not as the table says)"  # failstop chaos
+    r"|(\d+ runs at .*): (\d+ wrong), in .*"  # make faults
+    r"|(\d+ seeds, .*): (\d+ wrong): .*"  # make seeds
+    r"|(every verdict is the expected one|\d+ of \d+ verdicts are not the expected one)"  # make model
+    r"|(.* none differs)"  # make feetech
+    r"|(\d+ of \d+ controls found)"  # make controls
+    r")",
+    re.MULTILINE,
+)
+"""The last line of a campaign."""
+FUZZED = re.compile(r"^\w+: (good|FAILED); .*$", re.MULTILINE)
+"""A line of `make fuzz` for each parser."""
 PASSED = {"good": "passed"}
 VERSION = re.compile(r"^(python 3\.\d+|Debian \S+, .*install): (good|FAILED)", re.MULTILINE)
 """A line of `make versions` for each Python that it tried, and one of `make fresh` for each Debian."""
@@ -67,7 +84,23 @@ ROWS = {
     "reproduce": Row("a release built twice", ("reproduce",), f'"$BIN"/python -c "{ASK}"'),
     "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
+    "bench": Row("the bench", ("bench",), f'"$BIN"/python -c "{ASK}"'),
+    "chaos": Row("campaign of random faults", ("chaos",), "echo rrc"),
+    "faults": Row("single faults of a process at its own calls", ("faults",), "echo rrc"),
+    **{
+        f"{kind}-{name}": Row(what, (*command, f"BOARD={kind}"), f"echo {kind}")
+        for kind in ALL_KINDS
+        for name, what, command in (
+            ("simulate", "every single fault at every call, and seeds", ("simulate", "SEEDS=600")),
+            ("seeds", "random orders and faults", ("seeds", "SECONDS=600")),
+        )
+    },
+    "controls": Row("parts taken out, which a campaign must miss", ("controls",), f'"$BIN"/python -c "{ASK}"'),
+    "model": Row("the stop protocol in a model checker", ("model",), "spin -V"),
+    "fuzz": Row("parsers, fuzzed", ("fuzz",), f'"$BIN"/python -c "{ASK}"'),
+    "feetech": Row("frames of two foreign hosts of Feetech servos", ("feetech",), f'"$BIN"/python -c "{ASK}"'),
 }
+"""For campaigns of a board, `with` is the board."""
 
 
 def machine(release: Path = Path("/etc/os-release")) -> str:
@@ -82,10 +115,21 @@ def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
     if each := VERSION.findall(output):
         return {name.replace("python", "Python"): PASSED.get(verdict, verdict) for name, verdict in each}
     totals = [found.strip(" ,") for found in TOTALS.findall(output)] + EQUAL.findall(output)
+    totals += [": ".join(filter(None, groups)) for groups in SUMMARY.findall(output)]
+    if fuzzed := FUZZED.findall(output):
+        totals.append(f"{fuzzed.count('good')} of {len(fuzzed)} parsers passed")
     if bars := BARS.findall(output):
         totals.append(f"{bars.count('met')} of {len(bars)} bars met")
     counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")
     return {version: counted if code == 0 else f"FAILED ({counted})"}
+
+
+def conditions(begun: tuple[int, int], took_s: float) -> str:
+    """What the machine was like during a run: its length, the load at its end, and the share of the processors' time
+    that the host took away. `begun`: processor_ticks() at the start."""
+    (all_before, stolen_before), (now, stolen) = begun, processor_ticks()
+    share = (stolen - stolen_before) / max(1, now - all_before)
+    return f"{took_s:.0f} s, load {os.getloadavg()[0]:.1f}, steal {share:.1%}"
 
 
 def said(*words: str) -> str:
@@ -112,6 +156,7 @@ def attempt(name: str) -> list[tried.Attempt]:
     row = ROWS[name]
     print(f"== {name}: make {' '.join(row.command)}", flush=True)
     commit = tree()  # before it runs, because somebody may go on working meanwhile
+    ticks, begun_s = processor_ticks(), time.monotonic()
     lines = []
     with subprocess.Popen(
         ("make", *row.command), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -120,11 +165,12 @@ def attempt(name: str) -> list[tried.Attempt]:
         for line in run.stdout:
             sys.stdout.write(line)
             lines.append(line)
+    under = conditions(ticks, time.monotonic() - begun_s)
     version = said("sh", "-c", row.probe) if row.probe else ""
     day = time.strftime("%Y-%m-%d", time.gmtime())
     again = f"make tried ROWS={name}"
     return [
-        dict(zip(tried.IN_A_RECORD, (row.what, one, machine(), result, day, commit, again), strict=True))
+        dict(zip(tried.IN_A_RECORD, (row.what, one, machine(), result, under, day, commit, again), strict=True))
         for one, result in results(row, "".join(lines), run.returncode, version or "version not known").items()
     ]
 

@@ -22,7 +22,9 @@ def tried() -> Any:
 
 
 def record(what: str, version: str, result: str = "passed") -> dict[str, str]:
-    return dict(zip(page.IN_A_RECORD, (what, version, "Debian", result, "2026-11-28", "abc", "make x"), strict=True))
+    return dict(
+        zip(page.IN_A_RECORD, (what, version, "Debian", result, "load 0.1", "2026-11-28", "abc", "make x"), strict=True)
+    )
 
 
 def test_a_run_s_result_is_what_pytest_counted(tried: Any) -> None:
@@ -43,6 +45,34 @@ def test_a_bench_s_result_is_how_many_of_its_bars_were_met(tried: Any) -> None:
 def test_of_a_release_that_is_built_twice_the_files_are_counted(tried: Any) -> None:
     line = "built twice, equal to the byte: 16 files\n"
     assert tried.results(tried.ROWS["reproduce"], line, 0, "x") == {"x": "equal to the byte: 16 files"}
+
+
+@pytest.mark.parametrize(
+    ("row", "output", "result"),
+    [
+        (
+            "chaos",
+            "\n2000 faults in 1101 s: 0 stops missed, 0 motion frames after a stop, 0 not as the table says; the p9\n",
+            "2000 faults in 1101 s: 0 stops missed, 0 motion frames after a stop, 0 not as the table says",
+        ),
+        (
+            "faults",
+            "\n13111 runs at 2981 calls; 4816 more would be the same as one of these: 0 wrong, in 199 s\n",
+            "13111 runs at 2981 calls; 4816 more would be the same as one of these: 0 wrong",
+        ),
+        (
+            "rrc-seeds",
+            "from seed 1: 3 x\n125 seeds, 300 rounds, 900 faults (1300 a second of a core): 1 wrong: [7]\n",
+            "125 seeds, 300 rounds, 900 faults (1300 a second of a core): 1 wrong",
+        ),
+        ("model", "x holds\nevery verdict is the expected one\n", "every verdict is the expected one"),
+        ("fuzz", "frames: good; Done 12\nsettings: FAILED; x\n", "1 of 2 parsers passed"),
+        ("controls", "| a |\n68 of 68 controls found\n", "68 of 68 controls found"),
+    ],
+)
+def test_of_a_campaign_its_last_line_is_kept(tried: Any, row: str, output: str, result: str) -> None:
+    assert tried.results(tried.ROWS[row], output, 0, "x") == {"x": result}
+    assert tried.results(tried.ROWS[row], output, 1, "x") == {"x": f"FAILED ({result})"}
 
 
 @pytest.mark.starts
@@ -127,4 +157,4 @@ def test_a_record_names_a_commit_of_main_and_whether_anything_differed(
 def test_every_row_is_a_target_of_make(tried: Any) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for row in tried.ROWS.values():
-        assert f"\n{row.command[0]}: " in makefile
+        assert f"\n{row.command[0]}:" in makefile

@@ -192,6 +192,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
                 before = page.read()
         with open(file, "w", encoding="utf-8") as page:
             page.write(control_runs.page(every, before))
+    print(f"{sum(bool(found.wrong) for found in every)} of {len(every)} controls found")
     return int(not all(found.wrong for found in every))
 
 

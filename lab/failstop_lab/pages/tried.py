@@ -6,23 +6,25 @@ import json
 from pathlib import Path
 
 FILE = Path(__file__).with_name("tried.json")
-IN_A_RECORD = ("what", "with", "machine", "result", "day", "commit", "row")
+IN_A_RECORD = ("what", "with", "machine", "result", "conditions", "day", "commit", "row")
 OPENING = """\
 # What was tried where
 
-On this page you find with which systems, Pythons, ROS 2 and LeRobot versions failstop was really run. What is not in a
-row was never tried. Every board was simulated: no robot was available.
+On this page you find with which systems, Pythons, ROS 2 and LeRobot versions failstop was really run, and when each
+long campaign was last run. What is not in a row was never tried. Every board was simulated: no robot was available.
 
-`make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here. Each row says what the run
-printed, on which day and at which commit. A + means that the checkout differed from that commit.
+`make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here; `make tried` lists all rows.
+Each row says what the run printed, on which day and at which commit. A + means that the checkout differed from that
+commit. The conditions are how long the run took, the load of the machine at its end, and its steal, which is the share
+of the processors' time that the host took away.
 
 An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column. failstop starts
 there, drives, and stops the wheels of a killed program. But it is about twenty times slower, its order of memory is the
 machine's, and qemu passes on no death through a robust futex. So these rows say that the packages fit, and nothing
 about times.
 
-| what | with | on | result | when, at which commit | again |
-|---|---|---|---|---|---|
+| what | with | on | result | conditions | when, at which commit | again |
+|---|---|---|---|---|---|---|
 """
 Attempt = dict[str, str]
 
@@ -55,7 +57,8 @@ def natural(text: str) -> list[tuple[int, str]]:
 def page() -> str:
     """The whole page."""
     lines = [
-        f"| {r['what']} | {r['with']} | {r['machine']} | {r['result']} | {r['day']}, {r['commit']} | `{r['row']}` |"
+        f"| {r['what']} | {r['with']} | {r['machine']} | {r['result']} | {r['conditions']} "
+        f"| {r['day']}, {r['commit']} | `{r['row']}` |"
         for r in records()
     ]
     return OPENING + "\n".join(lines) + "\n"
