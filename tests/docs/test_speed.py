@@ -58,3 +58,23 @@ def test_a_page_without_measurements_is_refused(pages: Path) -> None:
     (pages / speed.MEASURED).write_text("nothing\n")
     with pytest.raises(ValueError, match="no row of a killed process"):
         speed.text(pages)
+
+
+def test_what_readme_says_of_memory_and_processor_was_measured() -> None:
+    """Each number with its unit, and the row of the page on measurements that it comes from."""
+    readme, measured = " ".join((ROOT / "README.md").read_text().split()), (ROOT / speed.MEASURED).read_text()
+    said = re.search(
+        r"takes (\d+) MB of memory, and about (\d+) % of one core while the robot drives\. "
+        r"The ROS 2 bridge takes another (\d+) MB and (\d+) % of a core",
+        readme,
+    )
+    assert said, "README.md says it in other words: change this test with it"
+    rows = (
+        r"\| memory of the whole service \(PSS\) \| ([\d.]+) MB",
+        r"\| processor, driving, IMU at 110 Hz \| ([\d.]+) %",
+        r"\| memory \(PSS\) \| ([\d.]+) MB",
+        r"\| processor, IMU 110 Hz, [^|]*\| ([\d.]+) %",
+    )
+    bridge = measured.partition("## The bridge to ROS 2")[2]
+    found = [re.search(row, page) for row, page in zip(rows, (measured, measured, bridge, bridge), strict=True)]
+    assert [int(number) for number in said.groups()] == [round(float(row[1])) for row in found if row]
