@@ -1,7 +1,7 @@
 """Extras: the packages that only some parts of failstop need, and the message for a user who lacks them.
 
-failstop itself is on no package index, so `pip install failstop[web]` can't work. The message therefore names the
-packages themselves, and the Python for which they must be installed.
+No package index has failstop itself, so an extra of failstop can't be installed by its name. The message therefore
+names the packages themselves, and the Python for which they must be installed.
 """
 
 from __future__ import annotations

@@ -62,9 +62,9 @@ CMD_VEL = Topic(
     0,
     "the velocity command. The bridge reads the type that the publisher offers, Twist or TwistStamped, or only the "
     "type that you set with `cmd_vel_type`. A best-effort publisher is not heard. A command is refused if its stamp is "
-    "older than the command timeout (a stamp of zero counts as now), or if it took longer to arrive than other "
-    "commands from its publisher, by more than the command timeout, for example because DDS resent it. A zero velocity "
-    "is never refused. NaN or infinity in any of the six fields latches a stop",
+    "older than the command timeout; a stamp of zero counts as now. It is also refused if it took longer to arrive "
+    "than other commands of its publisher, by more than the command timeout, for example because DDS resent it. A zero "
+    "velocity is never refused. NaN or infinity in any of the six fields latches a stop",
 )
 SCAN = Topic(
     "scan",
@@ -100,9 +100,10 @@ BATTERY = Topic(
     "sensor_msgs/msg/BatteryState",
     PLAIN,
     1,
-    "the voltage. `power_supply_status` is charging while a charger is plugged in and discharging while none is. It is "
-    "unknown if failstop can't tell, because only a step of the voltage shows the charger. Percentage, current and "
-    "charge are NaN. If the board stops reporting its battery, the voltage is NaN too and `present` is false",
+    "the voltage. `power_supply_status` is charging while a charger is plugged in, discharging while none is, and "
+    "unknown until failstop has seen the voltage jump, because only such a jump shows whether a charger is plugged in. "
+    "Percentage, current and charge are NaN. If the board stops reporting its battery, the voltage is NaN too and "
+    "`present` is false",
 )
 ODOMETRY = Topic(
     "wheel/odom",
@@ -160,9 +161,9 @@ ARM_GOAL = Topic(
     PLAIN,
     0,
     "where the arm must go: joints by their names in the settings, angles in rad. A message without points holds the "
-    "arm. A second publisher latches a stop. A goal is refused if it is older than `arm.goal_timeout_s`, by its stamp "
-    "or because it had to wait, or if it takes longer than `arm.unwatched_s`. When its publisher exits, the arm is "
-    "held",
+    "arm. A second publisher latches a stop. A goal is refused if its stamp is older than `arm.goal_timeout_s`, if it "
+    "waited longer than that before the bridge read it, or if the motion would take longer than `arm.unwatched_s`. "
+    "When its publisher exits, the arm is held",
 )
 ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves or is about to")
 OUTWARD = (

@@ -20,7 +20,7 @@ EXAMPLES = """\
 failstop arm                           # where each joint is, and any faults
 failstop arm drive                     # slowly to the drive pose
 failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
-failstop arm move base=0 --over 3      # within 3 s
+failstop arm move base=0 --over 3      # takes 3 s
 failstop arm jog base=0.2 --for 1      # turn it at 0.2 rad/s for 1 s
 failstop arm hold                      # stop where it is; the torque stays on
 failstop arm release                   # torque off: the arm falls

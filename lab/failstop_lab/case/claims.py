@@ -30,9 +30,8 @@ class Claim:
 CLAIMS = (
     Claim(
         "START-1",
-        "The first bytes that a run of the service sends to the board are a stop. If its settings can't be read, they "
-        "are the stop of the last run's board; if there was no run before, nobody knows the board, and they are the "
-        "stop of `rrc`.",
+        "The first bytes that a run of the service sends to the board are a stop. If the service can't "
+        "read its settings, it sends the stop of the board of the last run, or, without a last run, the stop of `rrc`.",
         150.0, "from the start of `failstop run`", ("PTY", "RECEIVER"),
         "a byte at the board before the burst of a run",
     ),
@@ -79,9 +78,9 @@ CLAIMS = (
     ),
     Claim(
         "CLIENT-1",
-        "When a driver dies, motion is disabled. When a driver falls silent, the wheels stop after its last command "
-        "has timed out. A command that is not a number latches a stop, and so does a second program that commands "
-        "as the same source.",
+        "When a driver dies, motion is disabled, unless `gate.driver_death` is `stay`. When a driver falls "
+        "silent, the wheels stop after its last command has timed out. A command that is not a number latches a stop, and so does "
+        "a second program that commands as the same source.",
         320.0, "from the driver's last command. After its death or an exception it is 20 ms", ("LIFELINE", "CLOCK"),
         "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),
@@ -122,8 +121,8 @@ CLAIMS = (
     Claim(
         "RUNAWAY-1",
         "If the board reports more often than once a second what its wheels do, then failstop stops the robot when a "
-        "wheel turns faster than commanded, turns the other way, or has not come to rest since it was commanded zero, "
-        "and does not slow down. This is judged while motion is enabled.",
+        "wheel does not slow down and turns faster than commanded, turns the other way, or has not come to rest since "
+        "it was commanded zero. This is judged while motion is enabled.",
         1700.0, "from when the wheel runs away, at 0.1 m/s, with the board that reports least often (`arduino`)",
         ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
@@ -167,8 +166,8 @@ CLAIMS = (
         "MOVE-2",
         "After a latched stop, nothing moves until somebody resets the stop and enables motion, except for the one "
         "frame of MOVE-1. After a start of the service, which also ends a latched stop, and after a disable, a lost "
-        "interlock or the death of a driver, nothing moves until somebody enables motion. failstop never enables by "
-        "itself, and while it runs it resets no stop by itself.",
+        "interlock or the death of a driver (unless `gate.driver_death` is `stay`), nothing moves until somebody "
+        "enables motion. failstop never enables by itself, and while it runs it resets no stop by itself.",
         None, "motion frames before the enable: 0, or the one frame of MOVE-1", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),

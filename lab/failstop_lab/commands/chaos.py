@@ -54,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="I",
-        help="begin with this fault of the seed's campaign, by its number; a fault that fails prints its number",
+        help="the number of the fault to begin with; if the service fails at a fault, that fault's number is printed",
     )
     add("--only", metavar="NAME,...", help="inject only these faults; * matches anything; --list prints the names")
     add_board(parser)
@@ -66,7 +66,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--from",
         dest="source",
         metavar="FILE",
-        help="with --markdown: don't run anything, but print the result in this file, which --json wrote",
+        help="with --markdown: run nothing, but read the result from this file, which --json wrote, and print it",
     )
     add(
         "--device",

@@ -41,7 +41,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--scenario", metavar="NAME,...", help="run only these scenarios; * matches anything; --list prints the names")
     add_board(parser)
     add(
-        "--whole", action="store_true", help="inject at every call to the system, not only at one for each line of code"
+        "--whole",
+        action="store_true",
+        help="inject at every call to the system (default: at one call for each line of code)",
     )
     add("--own", action="store_true", help="inject only faults of the process that makes the call")
     add(
@@ -89,8 +91,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(
         "--marks",
         action="store_true",
-        help="print how often the runs reached each mark: a cause, an answer of the admission table, or a change of a "
-        "process's state",
+        help="print how often the runs reached each cause of a stop, each decision about a motion frame, and each change "
+        "of a process's state",
     )
 
 

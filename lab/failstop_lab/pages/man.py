@@ -31,8 +31,8 @@ EXITS = (
     ("78", "A Python package that failstop needs is missing; one line names the package and the Python."),
     (
         "128 plus the signal's number",
-        "A signal ended the command, for example 130 for Ctrl-C. SIGTERM and Ctrl-C are the normal way to end run and "
-        "sim, which then exit with 0.",
+        "A signal ended the command, for example 130 for Ctrl-C. SIGTERM and Ctrl-C are the normal way to end run, "
+        "sim, ros2, guard, web and fleet, which then exit with 0.",
     ),
 )
 
@@ -43,7 +43,7 @@ FILES = (
         "The runtime directory of the service NAME. It holds the service's lock, the file in which programs lock their "
         "client slots, the pipe for stop requests, the pipe that wakes the gate when a program has written a command, "
         "the command line of the last run, and the number that identifies the shared memory of this run. failstop "
-        "ignores a directory that another user could have put there.",
+        "refuses a directory that another user could have put there.",
     ),
     (
         "/var/lib/failstop/NAME",
