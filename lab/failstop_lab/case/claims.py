@@ -79,8 +79,8 @@ CLAIMS = (
     Claim(
         "CLIENT-1",
         "When a driver dies, motion is disabled, unless `gate.driver_death` is `stay`. When a driver falls "
-        "silent, the wheels stop after its last command has timed out. A command that is not a number latches a stop, and so does "
-        "a second program that commands as the same source.",
+        "silent, the wheels stop after its last command has timed out. A command that is not a number latches a stop, "
+        "and so does a second program that commands as the same source.",
         320.0, "from the driver's last command. After its death or an exception it is 20 ms", ("LIFELINE", "CLOCK"),
         "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),

@@ -91,8 +91,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(
         "--marks",
         action="store_true",
-        help="print how often the runs reached each cause of a stop, each decision about a motion frame, and each change "
-        "of a process's state",
+        help="print how often the runs reached each cause of a stop, each decision about a motion frame, and each "
+        "change of a process's state",
     )
 
 
