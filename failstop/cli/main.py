@@ -14,6 +14,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from argparse import ArgumentParser
     from types import ModuleType
+    from typing import Any
 
 GROUPS = {
     "drive": {
@@ -156,7 +157,8 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module, which is one text, or a dict with a text for each command. Raises FailstopError if the command is not
     installed."""
     import argparse
-    import textwrap
+
+    from failstop.cli import style
 
     home, what = COMMANDS[name]
     if not here(name):
@@ -166,14 +168,21 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
 
     class Help(argparse.RawDescriptionHelpFormatter):
-        """Formats help so that lines are broken only at spaces, because a broken command or path could not be
-        copied."""
+        """Breaks lines where every screen does: at spaces, and never within a command or between a number and its
+        unit."""
 
         def _split_lines(self, text: str, width: int) -> list[str]:
-            return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+            words = " ".join(text.split())
+            return [style.plain(line) for line in style.wrap([(words, style.PLAIN)], width, 0)]
+
+    class Parser(argparse.ArgumentParser):
+        """A parser, and those of its subcommands, with this help."""
+
+        def __init__(self, *, formatter_class: type[argparse.HelpFormatter] = Help, **given: Any) -> None:
+            super().__init__(formatter_class=formatter_class, **given)
 
     description = f"{what[0].upper()}{what[1:]}."
-    parser = argparse.ArgumentParser(prog=f"failstop {name}", description=description, formatter_class=Help)
+    parser = Parser(prog=f"failstop {name}", description=description)
     module.add_arguments(parser)
     parser.epilog = "\n".join([EXAMPLES, *(f"  {line}" for line in examples(module, name))])
     return parser, module

@@ -37,6 +37,7 @@ _UNIT = f"(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\\w/])"
 _WORD = re.compile(f"(?:`[^`]*`|pid [0-9]+|[0-9] {_UNIT}|[^ ])+ *| +")
 """Matches one word with the spaces after it. Some texts with spaces count as one word: a command in backquotes, a
 number with its unit, and "pid" with its number."""
+_BEFORE_UNIT = re.compile(f"(?<=[0-9]) (?={_UNIT})")
 _NUMBER = re.compile(" *[0-9]+[.] +")
 """Matches the number in front of an item of a list, for example "2. "."""
 
@@ -120,6 +121,12 @@ def record(found: object) -> list[Line]:
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
+
+
+def bound(text: str, space: str) -> str:
+    """The text with `space` between each number and its unit, for a program that breaks lines by itself. `space`: what
+    that program takes for a space at which it must not break."""
+    return _BEFORE_UNIT.sub(lambda _: space, text)
 
 
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:

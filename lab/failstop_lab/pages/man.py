@@ -8,6 +8,7 @@ import sys
 import time
 
 from failstop.cli import main as cli
+from failstop.cli import style
 from failstop.files import root
 from failstop.version import VERSION
 from failstop_lab.pages import completion
@@ -140,8 +141,10 @@ def _table(title: str, rows: tuple[tuple[str, str], ...]) -> list[str]:
 
 
 def _escaped(text: str) -> str:
-    """Text that means itself: a line's first dot or quote would be a request, a dash a hyphen."""
+    """Text that means itself: a line's first dot or quote would be a request, a dash a hyphen; and no line ends between
+    a number and its unit."""
     text = text.replace("\\", "\\e").replace("-", "\\-").replace("'", "\\(aq").replace("`", "\\(ga")
+    text = style.bound(text, "\\~")
     return f"\\&{text}" if text.startswith(".") else text
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
+from failstop.policy.setting import UNITS
 from failstop_lab.pages import completion, man
 from tests.support.commands import FAILSTOP
 from tests.support.pages import commands_in
@@ -61,6 +63,19 @@ def test_the_examples_are_accepted_by_the_parser(
     shown = capsys.readouterr().out
     assert all(line in shown for line in lines)
     assert max(map(len, shown.splitlines())) <= COLUMNS
+
+
+TORN = re.compile(rf"[0-9]\n +(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\w/])")
+"""A number at the end of a line, with its unit on the next one."""
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_no_line_of_a_help_ends_between_a_number_and_its_unit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsers = list(completion.walk(cli.load(name)[0]))
+    for columns in range(60, 121):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        for parser in parsers:
+            assert not TORN.findall(parser.format_help()), (parser.prog, columns)
 
 
 @pytest.mark.parametrize(
