@@ -69,7 +69,9 @@ class Guard:
         """The bytes that the board has sent lately, each with its time."""
         self._who = A_DRIVER
         """The driver's name, for people."""
-        self._crowded = self._flooded = False
+        self._crowded = False
+        """True if more programs than may had the port open when it was last counted, before any of them ended."""
+        self._flooded = False
         self._wrote = False
         """True if bytes of this driver were read."""
         self._early = b""
@@ -152,9 +154,10 @@ class Guard:
 
     def _begin_again(self) -> None:
         """Open a new pseudo-terminal and begin again, because somebody has hung up the old one."""
-        self._board.leave(in_order=not (self._talk and self._talk.holds))
+        self._board.leave(in_order=not self._may_drive())
         lost = f", so {self._who} has lost it: start it again" if self._talk else ""
         self._talk, self._early, self._wrote = None, b"", False
+        self._crowded = False
         self._door.hang_up()
         self._tell(f"root hung up the port (vhangup){lost}; another terminal has taken its place")
         self._begin()
@@ -259,9 +262,10 @@ class Guard:
         self._early = unread if self._door.count and not self._wrote else b""
         self._wrote, self._hasty = False, ""
         if talk:
-            # If several programs had the port open, nobody can say which of them drove.
+            # If several programs had the port open, nobody can say which of them drove, and the one that has gone is no
+            # longer counted.
             held = talk.ended(unread, now_ns)
-            drove = held or self._door.crowded
+            drove = held or self._crowded
             self._board.leave(in_order=not drove)
             self._tell(self._ending(held=held))
             if late := talk.late(now_ns):
@@ -275,6 +279,11 @@ class Guard:
         elif unread and not self._door.count and (talk := self._new_talk()) and talk.ended(unread, now_ns):
             self._tell_hasty(talk)
 
+    def _may_drive(self) -> bool:
+        """True if the driver's newest motion is not zero, or if too many programs have the port open, because then
+        nobody can say which of them wrote that motion."""
+        return self._talk is not None and (self._talk.holds or self._crowded)
+
     def _ending(self, *, held: bool) -> str:
         """The text that a program has ended. `held`: True if the last motion that it wrote was not zero. The text does
         not say whether the wheels turned, because motion may have been disabled, or the driver held."""
@@ -282,7 +291,7 @@ class Guard:
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:
             return f"{who} has ended or died, and the last speed that it wrote was not zero"
-        return f"{who} has ended{' or died while too many programs had the port open' if self._door.crowded else ''}"
+        return f"{who} has ended{' or died while too many programs had the port open' if self._crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
         """Note that the driver wrote a motion and then closed the port at once. A script that opens the port for each
@@ -381,6 +390,6 @@ class Guard:
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:
-        """End the guard. A driver that is driving loses its port, and the service treats that like a driver's death."""
-        self._board.leave(in_order=not (self._talk and self._talk.holds))
+            # If several programs had the port open, nobody can say which of them drove, and the one that has gone is no
+            # longer counted.
         self._door.close()

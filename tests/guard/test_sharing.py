@@ -67,6 +67,7 @@ class Desk:
         self.door = Door(self.pty)
         self.guard = Guard(Nothing(made, self.lines.append), self.pty, self.door, self.lines.append)
         self.scripts: list[Script] = []
+        self._ended = False
 
     def script(self) -> Script:
         self.scripts.append(Script(self.pty.path))
@@ -112,8 +113,13 @@ class Desk:
             for stream in (script.child.stdin, script.child.stdout):
                 assert stream
                 stream.close()
-        self.guard.close()
+        self.end_guard()
         self.pty.close()
+
+    def end_guard(self) -> None:
+        if not self._ended:
+            self._ended = True
+            self.guard.close()
 
 
 @pytest.fixture
@@ -215,6 +221,43 @@ def test_a_program_that_opens_it_twice_is_told_what_to_do(desk: Desk) -> None:
         f"(pid {driver.child.pid}) has opened the port 2 times, and guard.openers allows 1: nothing that it writes "
         "moves the robot. Open it once, or set guard.openers = 2"
     )
+
+
+@AS_ROOT
+@pytest.mark.parametrize("ends", ["dies", "loses its terminal", "outlives the guard"])
+def test_a_driver_that_ends_while_root_has_the_port_too_may_have_driven_whatever_root_wrote(
+    desk: Desk, ends: str
+) -> None:
+    driver, root = desk.script(), desk.script()
+    desk.do(driver, OPEN, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    desk.do(root, OPEN, DRIVE % (0, 0))
+    desk.says("nothing that they write moves the robot until one closes it")
+    desk.turn()
+    if ends == "dies":
+        driver.child.kill()
+        desk.says("has ended or died while too many programs had the port open")
+    elif ends == "loses its terminal":
+        desk.do(root, "import fcntl", "fcntl.ioctl(port, 0x5437)")
+        desk.says("root hung up the port")
+    else:
+        desk.end_guard()
+    assert [line for line in desk.lines if "with failstop: the wheels stop" in line], desk.lines
+
+
+@AS_ROOT
+def test_a_driver_that_has_the_port_to_itself_again_ends_cleanly(desk: Desk) -> None:
+    driver, root = desk.script(), desk.script()
+    desk.do(driver, OPEN, DRIVE % (0, 0))
+    desk.do(root, OPEN)
+    desk.says("nothing that they write moves the robot until one closes it")
+    desk.do(root, "os.close(port)")
+    desk.until(lambda: not desk.door.crowded, "root to be gone")
+    desk.do(driver, DRIVE % (0, 0))
+    desk.lines.clear()
+    driver.child.kill()
+    desk.says(f"(pid {driver.child.pid}) has ended")
+    assert not [line for line in desk.lines if "or died" in line or "with failstop" in line], desk.lines
 
 
 @pytest.mark.parametrize(
