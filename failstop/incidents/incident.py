@@ -253,6 +253,24 @@ class Incident:
         """When the death of this process was logged."""
         return [event.ns for event in self.events if event.kind == "died" and event.fields.get("process") == process]
 
+    def beat_spans(self, process: str) -> list[tuple[int, int]]:
+        """(from when, until when) a process was beating, from the beginning of the file to its last beat. Each death
+        leaves a gap, from the last beat before it until the process was last seen silent before it beat again."""
+        index, (begin_ns, end_ns) = layout.PROCESS_NAMES.index(process), self.span_ns
+        last_ns = max(begin_ns, min(end_ns, self.words(process)["beat_ns"]))
+        silent = []
+        for ns, times in self.beats:
+            silent_us, before_us = times[index]
+            silent.append((ns - (silent_us + before_us) * 1000, ns - before_us * 1000))
+        found, since_ns = [], begin_ns
+        for died_ns in self.deaths(process):
+            dead = [(beat_ns, seen_ns) for beat_ns, seen_ns in silent if beat_ns <= died_ns < seen_ns]
+            found.append((since_ns, min(last_ns, max((beat_ns for beat_ns, _ in dead), default=died_ns))))
+            again_ns = [ns for ns in (*(beat_ns for beat_ns, _ in silent), last_ns) if ns > died_ns]
+            back_ns = min(again_ns, default=last_ns)
+            since_ns = max((seen_ns for _, seen_ns in dead), default=back_ns) if again_ns else back_ns
+        return [(since_ns, until_ns) for since_ns, until_ns in (*found, (since_ns, last_ns)) if since_ns < until_ns]
+
     def gate_spans(self) -> list[tuple[str, int, int]]:
         """(decision, begin, end) for all times, without gaps. While the gate missed its ticks or was dead, the decision
         is SILENT."""

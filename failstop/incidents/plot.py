@@ -227,7 +227,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
         last_ns = max(begin_ns, min(end_ns, incident.words(process)["beat_ns"]))
         died = [*incident.deaths(process), *[last_ns] * incident.left]
         silent = [silence[1:] for silence in incident.silences() if silence[0] == process]
-        for spans, height, color in (([(begin_ns, last_ns)], 0.44, BEATS_COLOR), (silent, 0.64, ALARM)):
+        for spans, height, color in ((incident.beat_spans(process), 0.44, BEATS_COLOR), (silent, 0.64, ALARM)):
             bars = [(incident.ms(since_ns), (until_ns - since_ns) / 1e6) for since_ns, until_ns in spans]
             axes.broken_barh(bars, (y - height / 2, height), color=color, linewidth=0)
         axes.plot([incident.ms(ns) for ns in died], [y] * len(died), "x", color=INK, markersize=6, markeredgewidth=1.8)
@@ -242,7 +242,11 @@ PANELS: tuple[Panel, ...] = (
     ("Wheel speeds, rps (dotted: as reported)", 1.6, _wheels),
     ("Where the arm was sent (pulses of 0.24 degrees)", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
-    ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),
+    (
+        "Who was heard (a stroke each); green: a process beats, red: silent too long, cross: died, gap: dead",
+        2.4,
+        _lanes,
+    ),
 )
 """The panels from the top, each with its title, its height in inches, and the function that draws it. The arm's panel
 is drawn only if the arm was moved."""

@@ -52,6 +52,42 @@ def test_no_line_is_drawn_across_a_gap_in_the_reports_of_the_wheels() -> None:
     assert len(reported) == 4
 
 
+def telemetry_dies(back_ms: float | None) -> Incident:
+    """Telemetry dies at the cause, and is back after so long, if at all."""
+    made = Recorder(causes.DIED(layout.TELEMETRY))
+    made.event(0.3, "died", "telemetry (pid 103) was killed by SIGKILL", "error", process=layout.TELEMETRY, pid=103)
+    for ms in range(-1000, 2200, 100):
+        dead = ms > 0 and (back_ms is None or ms <= back_ms)
+        made.beats(ms, **({layout.TELEMETRY: ms + 1.0} if dead else {}))
+    if back_ms is None:
+        made.last_beats_ms[layout.TELEMETRY] = -2.0
+    return made.incident()
+
+
+@pytest.mark.parametrize(
+    ("back_ms", "spans"),
+    [(600.0, [(-1000.0, -2.0), (599.0, 2100.0)]), (None, [(-1000.0, -2.0)])],
+    ids=["back", "never"],
+)
+@pytest.mark.starts
+def test_no_bar_says_that_a_dead_process_beats(back_ms: float | None, spans: list[tuple[float, float]]) -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib.colors import to_rgba
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    incident = telemetry_dies(back_ms)
+    plot._lanes(axes, incident)
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    row = axes.get_yticks()[labels.index("telemetry")]
+    drawn = []
+    for bars in axes.collections:
+        if [tuple(color) for color in bars.get_facecolor()][:1] == [to_rgba(plot.BEATS_COLOR)]:
+            boxes = [path.get_extents() for path in bars.get_paths()]
+            drawn += [(box.x0, box.x1) for box in boxes if box.y0 < row < box.y1]
+    assert drawn == [pytest.approx(span) for span in spans]
+
+
 @pytest.mark.parametrize(
     ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
 )

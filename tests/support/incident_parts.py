@@ -56,6 +56,8 @@ class Recorder:
         self.stop: dict[str, Any] | None = {"written_by": "port owner", "noticed_by": "port_owner", "written_us": 212.0}
         self.stop |= {"acknowledged_us": 3100.0, "observed_ms": 320.0}
         self.rings: dict[tuple[str, str], KeptRing] = {}
+        self.last_beats_ms: dict[str, float] = {}
+        """The last beat of each process that is not there at the end."""
         self.settings = Settings({"device.path": "/dev/pts/7"})
         self.core = GateCore(self.settings, from_settings(self.settings), 0)
         self.gate = GateBox(self.ring(layout.GATE, "box"))  # type: ignore[arg-type]
@@ -116,7 +118,8 @@ class Recorder:
     def body(self) -> dict[str, Any]:
         segments: dict[str, Any] = {}
         for index, name in enumerate(layout.PROCESS_NAMES):
-            words = {"beat_pid": 100 + index, "beat_ns": at(2190), "beat_worst_ns": 21_000_000, "written_ns": 0}
+            words = {"beat_pid": 100 + index, "beat_ns": at(self.last_beats_ms.get(name, 2190))}
+            words |= {"beat_worst_ns": 21_000_000, "written_ns": 0}
             rings = {ring: kept.entries for (segment, ring), kept in self.rings.items() if segment == name}
             segments[name] = {"words": words, "latest": {}, "rings": rings}
         settings = dict(line.split("=", 1) for line in self.settings.lines().splitlines())
