@@ -3,13 +3,14 @@ Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import NamedTuple
 
 from failstop.api import host, verdict, words
-from failstop.api.snapshot import Block, State
-from failstop.api.words import GUARDED
+from failstop.api.events import Event
+from failstop.api.snapshot import Block, Source, State
+from failstop.api.words import GUARDED, ON_PAGE
 from failstop.messages.layout import GATE
 from failstop.policy import causes, servos
 from failstop.policy.settings import PAD_SOURCE
@@ -74,6 +75,11 @@ ELSEWHERE = {
 """The texts for a web page without these buttons."""
 
 
+def is_stick(source: Source | None) -> bool:
+    """True for a source that a person commands with a stick: the gamepad, or the stick of the operator's page."""
+    return source is not None and (source.source == PAD_SOURCE or f" {ON_PAGE} (pid " in source.who)
+
+
 def _for_the_gate(state: State) -> tuple[str, str]:
     """Two texts, for the terminal and for the page, that say to wait while the gate is down. A person need not start
     the gate, because the supervisor does it after a pause."""
@@ -102,7 +108,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
     guarded = ", ".join(client.name for client in state.clients if client.wrong and client.sees.startswith(GUARDED))
     dumb = next((part for part, text in state.servos_wrong.items() if servos.SILENT_SERVO in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
-    let_go = f"have {held or 'that program'} send zero or pause"
+    let_go, stick = f"have {held or 'that program'} send zero or pause", is_stick(state.source_that("held"))
     off, interlock = not state.enabled and not dead, f"satisfy the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -129,7 +135,11 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
             (
                 state.block is Block.HELD,
-                Step(Purpose.COMMAND, let_go if held == PAD_SOURCE else f"{let_go}, {OR_END}", LET_GO),
+                Step(Purpose.COMMAND, let_go, LET_GO)
+                if stick
+                else Step(
+                    Purpose.COMMAND, f"{let_go}, {OR_END}", f"{let_go}, or end it, {how['enable']} and start it again"
+                ),
             ),
             (
                 idle and silent,
@@ -168,11 +178,11 @@ def line(state: State) -> str:
     return ", then ".join(typed(state))
 
 
-def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
-    """The first step, as a sentence for the web page. Empty if there is none."""
+def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
+    """The first step on the page; empty if there is none."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
-    if verdict.unanswered(state) and not sure:
+    if verdict.unanswered(state, events) and not sure:
         return words.sentence(f"{POWER} if the wheels turn: the board has not answered")
     return found[0].pressed if found else ""
 

@@ -3,11 +3,12 @@ run. Pure; events are given oldest first."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Sequence
 
 from failstop.api import wheels, words
 from failstop.api.events import Event
-from failstop.api.snapshot import Block, Process, State
+from failstop.api.snapshot import Process, State
 from failstop.api.wheels import CAN_MOVE as CAN_MOVE
 from failstop.api.wheels import DRIVING as DRIVING
 from failstop.api.wheels import MAY_TURN as MAY_TURN
@@ -47,7 +48,9 @@ CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_go
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """The kinds of events about a driver that stopped driving while the wheels turned."""
 UNLATCHED = LEFT_OFF | {"disabled"}
-"""The kinds of events about wheels that were stopped without a latched stop."""
+"""Kinds of events about wheels that were stopped although no stop was latched."""
+HALTS = UNLATCHED | {"stop", "stop_again"}
+"""Kinds of events about wheels that were stopped, whether a stop was latched or not."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
@@ -138,21 +141,23 @@ def proven_word(state: State) -> str:
     return f"{found}, unproven: {why}" if why else found
 
 
-def large_word(state: State) -> str:
-    """The word for a screen that people read from a distance. It says above all if the robot may begin to move. About a
-    stop it says only what is proven."""
+def large_word(state: State, events: Sequence[Event] = ()) -> str:
+    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move, and about
+    a stop it says no more than is proved."""
     found = row(state)
     if found.alarm:
         return found.large
-    large = MOVING if state.moving else CAN_MOVE if state.enabled and not state.estop else _stopped(state, found.large)
+    may_move = state.enabled and not state.estop
+    large = MOVING if state.moving else CAN_MOVE if may_move else _stopped(state, found.large, events)
     return f"{large}, UNPROVEN" if unproven(state) and large not in (WRITTEN, WHEELS_MAY_TURN) else large
 
 
-def _stopped(state: State, seen: str) -> str:
-    """The large word about the last stop, which says only what is proven. Bytes that are still in the kernel prove
-    nothing about the board. An IMU that felt no motion proves nothing about the wheels."""
+def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
+    """What is proved about the wheels. If they were stopped again after the last stop, without a latch, that stop's
+    proof says nothing about them, and only what is seen counts. Bytes that are still in the kernel prove nothing about
+    the board, and an IMU that felt nothing proves nothing about the wheels."""
     stop = state.last_stop
-    if stop is None:
+    if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen
     felt = stop.observed_s is not None and (stop.observed_s > 0 or stop.observed_by != "IMU")
     if stop.acknowledged_s is not None or felt:
@@ -160,10 +165,9 @@ def _stopped(state: State, seen: str) -> str:
     return WRITTEN if stop.written_s is not None and stop.sent else WHEELS_MAY_TURN
 
 
-def unanswered(state: State) -> bool:
-    """True while a stop may not have reached the board. Also true if it was written to a board that has never
-    answered."""
-    word = large_word(state)
+def unanswered(state: State, events: Sequence[Event] = ()) -> bool:
+    """True while a stop may not have reached the board, or was written to a board that has never answered."""
+    word = large_word(state, events)
     return word == WHEELS_MAY_TURN or (word == WRITTEN and state.device.link == "unproven")
 
 
@@ -215,10 +219,27 @@ def left_off(events: Sequence[Event]) -> Event | None:
     return last if last and last.kind in LEFT_OFF else None
 
 
-def death(state: State, events: Sequence[Event]) -> Event | None:
-    """If motion is disabled because a driver has died, the event about this death. Otherwise None."""
-    last = newest(events, CHANGES)
-    return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
+def unlatched(state: State, events: Sequence[Event]) -> Event | None:
+    """The event that stopped the wheels last, if that was no latched stop: a driver died or fell silent, or motion was
+    disabled. None while a stop is latched, and if a latched stop came later."""
+    stop, last = state.last_stop, newest(events, HALTS)
+    if state.cause or last is None or last.kind not in UNLATCHED:
+        return None
+    return last if stop is None or last.ns > stop.noticed_ns else None
+
+
+def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
+    """The state, but wheels that were last seen still before they were stopped count as not seen. The IMU judges a
+    window of half a second, which must begin after that. `now_s`: Unix time."""
+    known, stop, event = state.turning, state.last_stop, unlatched(state, events)
+    told_s = event.t if event else stop.t if stop else None
+    if known.does != "still" or told_s is None:
+        return state
+    window_s = proofs.WINDOW_NS / 1e9 if known.by == "IMU" else 0.0
+    # If the clock was set back since, the two times can't be compared.
+    if not 0 <= now_s - told_s < (known.age_s or 0.0) + window_s:
+        return state
+    return dataclasses.replace(state, turning=dataclasses.replace(known, does="unknown", by="", since_s=None))
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:

@@ -62,7 +62,7 @@ HOLDS = {
     ),
     Block.HELD: (
         "a program commanded before motion was enabled, so it must send zero or pause before it can drive",
-        "Let go of the stick, then push it again: it was pushed before motion was enabled.",
+        "Motion is enabled, but a program commanded before that, so it must send zero or pause before it can drive.",
     ),
     Block.NO_SCAN: (
         "the obstacle sensor is silent, and without it only a person may drive",

@@ -18,7 +18,9 @@ DRIFT = 1e-3
 """The most that two clocks of a computer drift apart, as a share of the time, unless somebody sets one of the
 clocks."""
 GUARDED = "uses the guard port "
-"""The guard's report about a driver begins with this text. The path of the port follows."""
+"""How the guard's report about a driver begins; the path of the port follows."""
+ON_PAGE = "(page)"
+"""The end of the name under which the operator's page commands and asks for somebody, before the pid."""
 NOWHERE_MPS = 0.0005
 """A speed below this is shown as zero, because rounding would give 0."""
 

@@ -390,6 +390,6 @@ class Guard:
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:
-            # If several programs had the port open, nobody can say which of them drove, and the one that has gone is no
-            # longer counted.
+        """End the guard. A driver that is driving loses its port, and the service treats that like a driver's death."""
+        self._board.leave(in_order=not self._may_drive())
         self._door.close()

@@ -10,6 +10,7 @@ from typing import Any
 from tornado.web import HTTPError, RequestHandler
 
 from failstop.api.errors import FailstopError
+from failstop.api.words import ON_PAGE
 from failstop.web import assets, devices, guard, lease, messages
 
 TYPE_CHECKING = False
@@ -96,7 +97,7 @@ class Guarded(RequestHandler):
     def who(self) -> str:
         """A name for the sender of the request, to show to people."""
         device = self.device()
-        return f"page at {self.request.remote_ip}" if device is None else f"{device.name} (page)"
+        return f"page at {self.request.remote_ip}" if device is None else f"{device.name} {ON_PAGE}"
 
     def paired(self) -> Device | None:
         """The paired device that sent the request. If the sender is not paired, this refuses the request and returns

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from failstop.api import distance, steps, verdict, wheels, words
+from failstop.api.snapshot import Block
 from failstop.api.steps import Purpose
-from failstop.api.why import HOLDS, meaning, since, troubles
+from failstop.api.why import HOLDS, UNTIMED, meaning, since, troubles
 from failstop.policy import proofs
 
 TYPE_CHECKING = False
@@ -28,26 +29,29 @@ ROLES = {
     **dict.fromkeys((verdict.STOPPED, verdict.TOLD_TO_STOP), "stopped"),
     verdict.CAN_MOVE: "free",
 }
+STICK_HELD = "Let go of the stick, then push it again: it was pushed before motion was enabled."
 MOST_EVENTS = 40
 
 
 def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
-    """All values that change rarely. `events`: the events of this run, the oldest first. `now_s`: the present Unix
-    time."""
+    """All values that change seldom. `events`: the events of this run, the oldest first."""
+    state = verdict.seen_since(state, events, now_s)
+    word = verdict.large_word(state, events)
     return {
         "name": state.name,
-        "word": verdict.large_word(state),
-        "role": _role(state),
+        "word": word,
+        "role": BAD if verdict.unproven(state) else ROLES.get(word, BAD),
         "why": _why(state),
         "since": since(state, events, now_s)[0],
         "epoch": state.epoch,
-        "next": steps.pressed(state),
-        "next_driver": steps.pressed(state, steps.BY_STICK),
-        "next_unpaired": steps.pressed(state, steps.ELSEWHERE),
+        "next": steps.pressed(state, steps.HERE, events),
+        "next_driver": steps.pressed(state, steps.BY_STICK, events),
+        "next_unpaired": steps.pressed(state, steps.ELSEWHERE, events),
         "latched": state.estop is not None,
         "enabled": state.enabled,
         "can": _obstacles(state),
         "stop": stop_of(state.last_stop),
+        "unlatched": unlatched_of(verdict.unlatched(state, events)),
         "limit": round(100 * state.speed_limit),
         "stands": distance.WITHIN.format(state.stands_within_m),
         "driver": str(state.driver or ""),
@@ -95,6 +99,7 @@ def absent(note: str) -> dict[str, Any]:
         "enabled": False,
         "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
         "stop": None,
+        "unlatched": None,
         "limit": 100,
         "stands": "not known",
         "driver": "",
@@ -131,6 +136,11 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
     }
 
 
+def unlatched_of(event: Event | None) -> dict[str, Any] | None:
+    """What stopped the wheels after the last latched stop, and why it has no times."""
+    return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
+
+
 def _unseen(stop: Stop) -> str:
     """Why nobody saw the wheels come to rest after this stop. Empty if the reason is not known."""
     if not stop.observed_by:
@@ -146,11 +156,6 @@ def _written(stop: Stop) -> str:
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
 
 
-def _role(state: State) -> str:
-    """The colour role of the large word."""
-    return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
-
-
 def _why(state: State) -> str:
     if doubt := verdict.doubt(state):
         return words.sentence(doubt)
@@ -162,6 +167,8 @@ def _held(state: State) -> str:
     """Why the wheels are stopped, or else how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause, verdict.reached(state))[0])
+    if state.block is Block.HELD and (source := state.source_that("held")):
+        return STICK_HELD if steps.is_stick(source) else HOLDS[state.block][1].replace("a program", source.who)
     if state.block:
         return HOLDS[state.block][1]
     return words.sentence(verdict.headline(state) if any(state.body_vel) else "The command is zero")

@@ -11,7 +11,7 @@ from failstop.api.events import Event
 from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.screen import summary
-from tests.support.states import NOW_S, driving, process, state
+from tests.support.states import NOW_S, driving, latched, process, state, stop
 
 DIED = {"process": "gate", "pid": 4711, "how": "was killed by SIGKILL"}
 FENCED = {"process": "gate", "pid": 4711, "silent_ms": 60.3, "kill_us": 200.0}
@@ -57,11 +57,19 @@ def test_a_death_after_that_one_is_a_death() -> None:
     assert "once; it exited with code 1" in shown(crashed, [])
 
 
+def rows(state_: object, events: list[Event]) -> str:
+    """The screen in one line."""
+    return " ".join(shown(state_, events).split())
+
+
+UNTIMED = "this stop was not timed, because only latched stops are"
+KEY = stop(t=NOW_S - 300, noticed_ns=1)
+
+
 def test_who_fell_silent_is_named_while_nobody_commands() -> None:
     events = [told("enabled", t=NOW_S - 9), told("driver_silent", NAV)]
-    assert "nobody commands; nav (pid 42) stopped sending commands while it drove: last command 301 ms" in shown(
-        BLOCKED, events
-    )
+    said = "last stop nav (pid 42) stopped sending commands while it drove: last command 301 ms"
+    assert f"driver nobody commands {said}" in rows(BLOCKED, events)
     assert ", 3.0 s ago)" in shown(BLOCKED, events)
     assert "its timeout: nav (pid 42) stopped sending commands while it drove" in why(BLOCKED, events)
     assert why(BLOCKED, events).splitlines()[0].endswith(", 3.0 s ago)")
@@ -77,18 +85,41 @@ def test_who_ended_while_it_drove_is_named() -> None:
 def test_whose_death_disabled_motion_is_told_whoever_commands_now() -> None:
     dead = dataclasses.replace(told("driver_gone", NAV), text="motion disabled: nav (pid 42) died after it had driven")
     for disabled in (state(blocked="disabled"), driving(blocked="disabled", enabled=False)):
-        found = " ".join(shown(disabled, [told("enabled"), dead]).split())
-        assert "driver motion disabled: nav (pid 42) died after it had driven (" in found
+        found = rows(disabled, [told("enabled"), dead])
+        assert "last stop motion disabled: nav (pid 42) died after it had driven (" in found
+        assert found.count("died after") == 1
         assert "ago: nav (pid 42) died after it had driven" in why(disabled, [told("enabled"), dead])
-        for since in ("disabled", "stop", "enabled"):
+        for since in ("disabled", "stop"):
             assert "died after" not in shown(disabled, [dead, told(since)])
-    assert "died after" not in shown(driving(), [dead])
+
+
+def test_the_last_stop_is_what_stopped_the_wheels_last_and_a_latched_one_before_it_is_earlier() -> None:
+    past = [told("stop", t=NOW_S - 300), told("reset", t=NOW_S - 60), told("enabled", t=NOW_S - 50)]
+    dead = dataclasses.replace(told("driver_gone", NAV), text="motion disabled: nav (pid 42) died after it had driven")
+    events = [*past, dataclasses.replace(dead, ns=2)]
+    for found in (state(last_stop=KEY), driving(last_stop=KEY)):
+        said = rows(found, events)
+        assert "last stop motion disabled: nav (pid 42) died after it had driven (" in said
+        assert f"3.0 s ago) {UNTIMED} earlier a latched stop: key1 (" in said
+        assert said.count("5 min ago") == 1
+        assert "acknowledged" not in said, "the times of an earlier stop say nothing about this one"
+
+
+def test_a_latched_stop_that_came_later_is_the_last() -> None:
+    ended = dataclasses.replace(told("disabled", t=NOW_S - 400), ns=0)
+    for found in (state(last_stop=KEY), latched(last_stop=KEY)):
+        for later in ([], [told("stop", t=NOW_S - 300), told("reset")]):
+            said = rows(found, [ended, *later])
+            assert "acknowledged by the board after 4.40 ms" in said
+            assert UNTIMED not in said
+    asked_while_latched = dataclasses.replace(told("disabled"), ns=2)
+    assert "last stop the one that is latched (" in rows(latched(last_stop=KEY), [asked_while_latched])
 
 
 def test_a_driver_of_before_is_no_news() -> None:
     events = [told("driver_silent", NAV), told("enabled")]
     assert "silent" not in shown(BLOCKED, events)
-    assert "nav" not in shown(state(), [told("driver_silent", NAV)]), "disabled: no matter who drove"
+    assert "driver nobody commands last stop nav (pid 42)" in rows(state(), [told("driver_silent", NAV)])
     assert "silent" not in shown(driving(), [told("driver_silent", NAV)]), "somebody drives again"
 
 

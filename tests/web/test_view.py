@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Device
-from failstop.api.state import State
+from failstop.api.events import Event
+from failstop.api.snapshot import Device, Source, Turning
+from failstop.api.state import State, Stop
 from failstop.policy import causes
 from failstop.web import view
 from tests.support import states
@@ -27,8 +28,16 @@ SEEN = states.stop(acknowledged_s=None, observed_s=0.3)
 DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_radps": (6.0, 6.0, 6.0, 6.0)}
 
 
-def shown(state: State) -> dict[str, Any]:
-    return view.view(state, [], NOW_S)
+def shown(state: State, *events: Event) -> dict[str, Any]:
+    return view.view(state, events, NOW_S)
+
+
+def event(kind: str, text: str, age_s: float) -> Event:
+    """An event that came after every stop of the tests' states."""
+    return Event(1, NOW_S - age_s, 1, kind, "warning", text, {})
+
+
+DEATH = "motion disabled: nav (pid 42) died after it had driven"
 
 
 @pytest.mark.parametrize(
@@ -108,6 +117,87 @@ def test_every_cause_is_a_sentence_and_a_step(kind: causes.Kind) -> None:
     assert found["next"].endswith(".")
     assert "`" not in found["why"] + found["next"]
     assert found["latched"]
+
+
+BY_WHEELS = dataclasses.replace(states.STILL, by="wheels")
+
+
+@pytest.mark.parametrize(
+    ("stop", "turning", "age_s", "word"),
+    [
+        pytest.param(WRITTEN, BY_WHEELS, 5.0, "STOPPED", id="an earlier stop was only written"),
+        pytest.param(states.stop(), BY_WHEELS, 5.0, "STOPPED", id="an earlier stop was proved"),
+        pytest.param(None, BY_WHEELS, 5.0, "STOPPED", id="no earlier stop"),
+        pytest.param(WRITTEN, states.UNREAD, 5.0, "TOLD TO STOP", id="nothing was read since"),
+        pytest.param(states.stop(), states.TURNS, 5.0, "STOPPING", id="they turn"),
+        pytest.param(
+            states.stop(),
+            dataclasses.replace(BY_WHEELS, age_s=0.3),
+            0.2,
+            "TOLD TO STOP",
+            id="the report is from before the disable",
+        ),
+        pytest.param(
+            states.stop(), states.STILL, 0.4, "TOLD TO STOP", id="the window of the IMU began before the disable"
+        ),
+        pytest.param(states.stop(), states.STILL, 0.6, "STOPPED", id="the window of the IMU is from after it"),
+        pytest.param(states.stop(), states.STILL, -9.0, "STOPPED", id="the clock was set back since"),
+    ],
+)
+def test_after_a_later_disable_the_word_is_what_was_seen_since(
+    stop: Stop | None, turning: Turning, age_s: float, word: str
+) -> None:
+    found = shown(states.state(last_stop=stop, turning=turning), event("driver_gone", DEATH, age_s))
+    assert found["word"] == word
+    assert ("nothing shows what they do now" in found["why"]) == (word == "TOLD TO STOP")
+    assert "POWER SWITCH" not in found["next"].upper()
+
+
+def test_a_reading_from_before_the_stop_does_not_say_that_it_has_stopped_the_wheels() -> None:
+    turning = dataclasses.replace(BY_WHEELS, age_s=0.3)
+    assert shown(states.latched(last_stop=states.stop(t=NOW_S - 0.2), turning=turning))["word"] == "TOLD TO STOP"
+    assert shown(states.latched(last_stop=states.stop(t=NOW_S - 0.4), turning=turning))["word"] == "STOPPED"
+
+
+def test_the_last_stop_of_the_page_is_what_stopped_the_wheels_last() -> None:
+    death = event("driver_gone", DEATH, 5.0)
+    found = shown(states.state(last_stop=states.stop()), death)["unlatched"]
+    untimed = "this stop was not timed, because only latched stops are"
+    assert found == {"reason": DEATH, "t": NOW_S - 5.0, "lacks": untimed}
+    assert shown(states.latched(), death)["unlatched"] is None
+    assert shown(states.state(last_stop=states.stop(noticed_ns=2)), death)["unlatched"] is None
+    assert shown(states.state(last_stop=states.stop()))["unlatched"] is None
+
+
+def held(source: str, who: str) -> dict[str, Any]:
+    sources = (Source(source, 0, who, "held"),)
+    return shown(states.state(enabled=True, blocked="let go first", sources=sources))
+
+
+@pytest.mark.parametrize(
+    ("source", "who"),
+    [("gamepad", "gamepad"), ("page", "Anna (page) (pid 77)"), ("cmd_vel", "Anna (page) (pid 77)")],
+)
+def test_a_stick_that_is_held_is_to_be_let_go(source: str, who: str) -> None:
+    found = held(source, who)
+    assert found["why"] == "Let go of the stick, then push it again: it was pushed before motion was enabled."
+    assert {found[key] for key in ("next", "next_driver", "next_unpaired")} == {
+        "Let go of the stick, then push it again."
+    }
+
+
+def test_a_program_that_is_held_has_no_stick() -> None:
+    found = held("cmd_vel", "nav (pid 42)")
+    assert found["why"] == (
+        "Motion is enabled, but nav (pid 42) commanded before that, so it must send zero or pause before it can drive."
+    )
+    assert found["next"] == "Have nav (pid 42) send zero or pause, or end it, hold ENABLE and start it again."
+    assert found["next_unpaired"] == (
+        "Have nav (pid 42) send zero or pause, or end it, enable motion with a paired device or failstop enable, and "
+        "start it again."
+    )
+    unnamed = shown(states.state(enabled=True, blocked="let go first"))
+    assert "stick" not in unnamed["why"] + unnamed["next"]
 
 
 def test_what_stands_in_the_way() -> None:

@@ -159,9 +159,7 @@ def unlatched(name: str) -> str:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:
         return ""
-    latched_ns = state.last_stop.noticed_ns if state.last_stop else 0
-    last = verdict.newest(events, verdict.UNLATCHED)
-    if state.cause or not last or last.ns <= latched_ns:
+    if (last := verdict.unlatched(state, events)) is None:
         return ""
     what = last.what.replace("motion disabled", "motion was disabled", 1)
     return f"at {words.clock(last.t, time.time())} {what}; that is not a latched stop, so it has no incident"

@@ -9,7 +9,7 @@ from failstop.api import steps, verdict, words
 from failstop.api import wheels as seen
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, Block, State
-from failstop.api.why import WAITS, explain, proofs
+from failstop.api.why import UNTIMED, WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.policy import servos
@@ -38,12 +38,10 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     terminal. `events`: the events of this run, the oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
-    if death := verdict.death(state, events):
-        rows.append([*row("driver", death.text, WARN), (f" ({words.ago(death.t, now_s)})", DIM)])
-    rows += _drivers(state, verdict.left_off(events), now_s)
+    rows += _drivers(state)
     if state.steering_rad is not None:
         rows.append(row("steering", words.steering(state.steering_rad)))
-    rows += last_stop(state, now_s)
+    rows += last_stop(state, now_s, verdict.unlatched(state, events))
     if state.speed_limit < 1:
         rows.append(row("limit", f"speed limited to {100 * state.speed_limit:.0f} % of the settings'", WARN))
     if state.arm:
@@ -100,7 +98,7 @@ def commands(text: str) -> Line:
     return [(part, STRONG if number % 2 else PLAIN) for number, part in enumerate(re.split("(`[^`]*`)", text))]
 
 
-def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
+def _drivers(state: State) -> list[Line]:
     rows = []
     for source in state.sources:
         drives = source.state == "drives"
@@ -108,14 +106,19 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
         rows.append(row("driver" if drives else source.state, text, OK if drives and state.moving else PLAIN))
     if not rows:
         rows.append(row("driver", "nobody commands"))
-        if left_off and state.block is Block.NO_COMMAND:
-            rows[0] += [("; ", PLAIN), (left_off.text, WARN), (f" ({words.ago(left_off.t, now_s)})", DIM)]
     return rows
 
 
-def last_stop(state: State, now_s: float) -> list[Line]:
-    """The rows about the last stop and its three proofs."""
+def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> list[Line]:
+    """What stopped the wheels last. For a latched stop, its three proofs. `unlatched`: what stopped them after the last
+    latched stop (verdict.unlatched); that stop is then an earlier one, and its times say nothing about this one."""
     stop = state.last_stop
+    if unlatched:
+        told = [*row("last stop", unlatched.what, WARN), (f" ({words.ago(unlatched.t, now_s)})", DIM)]
+        rows = [told, row("", UNTIMED)]
+        if stop:
+            rows.append([*row("earlier", f"a latched stop: {stop.reason}"), (f" ({words.ago(stop.t, now_s)})", DIM)])
+        return rows
     if stop is None:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason

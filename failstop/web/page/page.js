@@ -67,9 +67,10 @@ function list(id, content, make) {
 }
 
 function showStop() {
-  const stop = view.stop;
-  text("last-reason", stop ? `${stop.reason} (${clock(stop.t)})` : "none since the service was started");
-  $("last-proof").hidden = !stop;
+  const stop = view.stop, halt = view.unlatched, known = stop ? `${stop.reason} (${clock(stop.t)})` : "";
+  const last = halt ? `${halt.reason} (${clock(halt.t)}); ${halt.lacks}` : known || "none since the service was started";
+  text("last-reason", halt && stop ? `${last}. The last latched stop was earlier: ${known}` : last);
+  $("last-proof").hidden = !stop || !!halt; // the times of an earlier stop say nothing about this one
   if (!stop) return;
   for (const item of $("last-proof").children) {
     const level = item.dataset.level, when = stop[level];
