@@ -72,6 +72,7 @@ def telemetry_dies(back_ms: float | None) -> Incident:
 @pytest.mark.starts
 def test_no_bar_says_that_a_dead_process_beats(back_ms: float | None, spans: list[tuple[float, float]]) -> None:
     pytest.importorskip("matplotlib")
+    import numpy as np
     from matplotlib.colors import to_rgba
     from matplotlib.figure import Figure
 
@@ -82,7 +83,7 @@ def test_no_bar_says_that_a_dead_process_beats(back_ms: float | None, spans: lis
     row = axes.get_yticks()[labels.index("telemetry")]
     drawn = []
     for bars in axes.collections:
-        if [tuple(color) for color in bars.get_facecolor()][:1] == [to_rgba(plot.BEATS_COLOR)]:
+        if np.array_equal(np.asarray(bars.get_facecolor())[:1], [to_rgba(plot.BEATS_COLOR)]):
             boxes = [path.get_extents() for path in bars.get_paths()]
             drawn += [(box.x0, box.x1) for box in boxes if box.y0 < row < box.y1]
     assert drawn == [pytest.approx(span) for span in spans]

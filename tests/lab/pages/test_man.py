@@ -51,6 +51,12 @@ def test_the_page_has_the_parts_of_a_man_page() -> None:
             assert line[1:].split()[0] in requests, line
 
 
+def test_no_line_of_the_page_ends_between_a_number_and_its_unit() -> None:
+    text = man.page()
+    assert "0.3\\~s" in text
+    assert not re.search(r"[0-9] (ms|s|m/s|rad/s|Hz|V|%)\b", text)
+
+
 def test_texts_that_look_like_requests_are_texts() -> None:
     parser = argparse.ArgumentParser(prog="odd", description="'quoted first.", epilog=".B failstop odd")
     parser.add_argument("--odd", metavar="F", help=".SH of 'it' \\ - `x`")
