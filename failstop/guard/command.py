@@ -36,11 +36,11 @@ failstop guard --path /run/port   # your driver opens this path
 failstop guard --dry-run          # without a robot: what your driver writes
 """
 PORT = "port"
-"""The name of the link in the runtime directory."""
+"""The name of the guard port's link in the runtime directory."""
 LOOK_S = 0.5
 NICE = -10
-"""The guard's nice value. The guard runs before ordinary programs, but after the service's real-time processes, because
-a driver can keep the guard busy."""
+"""The guard's nice value. With it, the guard runs before ordinary programs, but after the service's real-time
+processes. Otherwise a driver that writes without end could take processor time from the service."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
 
 
 class _Ends:
-    """Remembers whether SIGTERM or Ctrl-C has come, as `now`."""
+    """Handles SIGTERM and Ctrl-C. `now` becomes True when one of the two has come, so the guard must end."""
 
     def __init__(self) -> None:
         self.now = False
@@ -98,7 +98,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
-    """Wait until the service runs, and return its settings. Returns None if the guard was ended before that."""
+    """Wait until the service runs, and return its settings. Returns None if SIGTERM or Ctrl-C ends the guard first."""
     said = ""
     while not ends.now:
         if service.look(time.monotonic_ns()):
@@ -111,9 +111,9 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The path of the port. It is the one in the settings. If they have none, it is in the first of these folders that
-    exists and that this user may write to: systemd's folder for this unit, the service's folder, the user's own
-    folder."""
+    """The path of the port if --path is not given. It is the setting guard.path if that is set. Otherwise the port is
+    in systemd's runtime folder for this unit, in the service's runtime folder, or in the user's runtime folder. The
+    first one that this user may write to is chosen."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):
@@ -158,11 +158,11 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 
 
 def _go_first() -> None:
-    """Run before ordinary programs. Raises OSError.
+    """Make Linux run the guard before ordinary programs. Raises OSError.
 
-    Linux first shares the processor among sessions (autogroup), so a nice value only counts within its session. If the
-    guard runs as a service, it has its own session, and the nice value of that session is set too. In a terminal, the
-    guard shares its session with other programs.
+    Linux first shares the processor among sessions (autogroup), so a nice value counts only among the processes of one
+    session. If the guard runs as a service, it is alone in its session, so this function also sets the nice value of
+    the session. In a terminal, the guard shares the session with other programs, so only its own nice value is set.
     """
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     if os.getsid(0) == os.getpid():
@@ -171,8 +171,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line. It is dropped if it can't be printed at once, for example to a paused terminal or a pipe that
-    nobody reads. Waiting would hold up the guard, and with it the driver."""
+    """Print a line. The line is dropped if it can't be printed at once, for example because the terminal is paused or
+    nobody reads the pipe. Waiting would hold up the guard, and the driver would wait too."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(standard.folded(line), flush=True)

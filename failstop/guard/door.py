@@ -1,11 +1,14 @@
-"""Door: knows which programs have the pseudo-terminal open, as far as that can be seen, and limits how many may.
+"""Door: knows which programs have the pseudo-terminal open, as far as Linux shows it. It also limits how many programs
+may have it open.
 
-The end of a killed program is noticed in three steps. First, /proc shows it, as a pending SIGKILL or in the process's
-flags; the guard looks there a few hundred times per second. Then the kernel frees the program's memory and closes its
-files, and inotify reports the close. At last, the pidfd reports that the program is gone.
+When a program is killed, the guard notices the end in three steps. First, /proc shows a pending SIGKILL or a flag of
+the process; the guard looks at /proc a few hundred times per second. Then the kernel frees the program's memory and
+closes its files, and inotify reports the close. Finally, the program's pidfd reports that the program is gone.
 
-A child of the program still has the port open if the pidfd has reported the end but inotify has reported no close. The
-same is true if a program has closed all its descriptors of the port and inotify has reported no close.
+A child may keep the port open after its parent has ended or has closed the port. The guard notices this in two ways:
+
+- The pidfd reports that the parent is gone, but inotify has reported no close.
+- /proc shows that the parent has no descriptor of the port any more, but inotify has reported no close.
 """
 
 from __future__ import annotations
@@ -33,15 +36,16 @@ class Door:
         self.seen: dict[int, Opener] = {}
         """The programs that have opened the pseudo-terminal, by pid, as far as /proc shows them."""
         self.count = 0
-        """How many times the pseudo-terminal is open, as far as that is known."""
+        """How many times the pseudo-terminal is open, as far as the guard knows."""
         self._opened = 0
-        """How many times it is open according to inotify, which also reports programs that /proc does not show."""
+        """How many times the pseudo-terminal is open according to inotify, which also counts programs that /proc does
+        not show."""
         self.most = 1
-        """How many times it may be open at once."""
+        """How many times the pseudo-terminal may be open at once."""
         self._lives: dict[int, int] = {}
         """The pidfd of each program in `seen`, and of each program that is dying."""
         self._dying: dict[int, tuple[Opener, int]] = {}
-        """The programs whose end was noticed, each with the number of its closes that inotify has not reported yet."""
+        """The programs that are dying, by pid: (the program, how many of its closes inotify has not reported yet)."""
         self._closed: set[int] = set()
         """The programs that had no descriptor of the pseudo-terminal when abandoned() last looked."""
         self._begin()
@@ -57,12 +61,13 @@ class Door:
         return self.count > self.most
 
     def wait(self, seconds: float) -> dict[int, int]:
-        """Sleep until a driver has written, opened or closed the port, but at most for `seconds`. Returns the argument
-        for look()."""
+        """Sleep until a driver has written to the port, opened it or closed it, but at most for `seconds`. Returns the
+        argument for look()."""
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
-        """What has happened since the last look. It is quick, because a stop may wait for it."""
+        """Find out what has happened since the previous call. This must be quick, because the driver's bytes, which may
+        be a stop, are read only afterwards."""
         news = News()
         for pid, opener in self.seen.items():
             if pid not in self._dying and (self._lives.get(pid) in ready or dying(pid)):
@@ -85,7 +90,8 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """True if a reported close belongs to a program whose end was noticed before."""
+        """True if the close that inotify has just reported belongs to a program whose end the guard has already
+        counted."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -94,16 +100,17 @@ class Door:
 
     def abandoned(self) -> list[Opener]:
         """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
-        if two looks in a row find this, because the kernel's report of its close may still be on its way. Raises
-        OSError."""
+        if two calls in a row find that it has no descriptor. One call is not enough, because inotify may be about to
+        report the program's close. Raises OSError."""
         wanted, before = identity(self._pty.name), self._closed
         with contextlib.suppress(PermissionError):
             self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}
         return [self.seen[pid] for pid in self._closed & before]
 
     def recount(self, meanwhile: Callable[[], None]) -> None:
-        """Find out which programs have the pseudo-terminal open. If there are as many as allowed, keep more programs
-        out. `meanwhile`: called again and again while this takes time (see openers())."""
+        """Find out which programs have the pseudo-terminal open. If it is already open as many times as allowed, make
+        the kernel refuse more programs. `meanwhile`: called again and again during the search, which may take long (see
+        openers())."""
         found, hidden = openers(self._pty.name, self.seen, self._opened, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
@@ -126,7 +133,7 @@ class Door:
         self.seen = seen
 
     def hang_up(self) -> None:
-        """Throw all programs out, and open a new pseudo-terminal in place of the old one. Raises FailstopError,
+        """Take the port away from all programs: close the pseudo-terminal and open a new one. Raises FailstopError or
         OSError."""
         self._poll.unregister(self._pty.master)
         self._close_watch()

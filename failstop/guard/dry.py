@@ -21,13 +21,14 @@ AT_DEATH = {
     "latch": "and a stop is latched",
     "stay": "but motion stays enabled",
 }
-"""What also happens when a driver dies while it drives, for each value of the setting gate.driver_death."""
+"""What happens, besides the stop, when a driver dies while it drives. The keys are the values of the setting
+gate.driver_death."""
 MOST_SHOWN = 200
 """How many different motions of one driver are printed."""
 
 
 class Nothing:
-    """Takes the place of the service. No board answers, and no wheel turns."""
+    """Stands in for the service in a dry run. No board answers, and no wheel turns."""
 
     def __init__(self, settings: Settings, tell: Callable[[str], None]) -> None:
         """`tell`: prints a line. Raises ValueError."""
@@ -48,19 +49,20 @@ class Nothing:
         return True
 
     def join(self, who: str, pid: int | None) -> None:
-        """Forget what was printed about the last driver, because a new one begins."""
+        """Forget which lines were printed, because a new driver begins."""
         self._shown.clear()
         self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
-        """Handle the end of a driver. If it did not end cleanly, print what failstop would do."""
+        """Handle the end of a driver. If the driver did not end cleanly (`in_order` is False), print what failstop
+        would do."""
         if not in_order and self.settings:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
     def command(self, command: Command) -> str:
-        """Print a motion, if this motion was not printed before. Returns a text if it is beyond the limits, or
-        empty."""
+        """Print a motion, unless the same motion was already printed. Returns a text if the motion is beyond the
+        limits, otherwise an empty text."""
         self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
@@ -70,14 +72,14 @@ class Nothing:
         return self.scale.beyond(asked)
 
     def forward(self, frame: bytes) -> None:
-        """Print a frame that would be passed on to the board, if it was not printed before."""
+        """Print a frame that the service would pass on to the board, unless the same frame was already printed."""
         if frame not in self._passed and len(self._passed) < MOST_SHOWN:
             self._passed.add(frame)
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print what is wrong, once until the next motion. Refusals, and how a driver ended, are left out, because the
-        guard itself has printed them."""
+        """Print `wrong`, but only once for each motion of the driver. Texts about refusals and about a driver's end are
+        left out, because the guard prints them itself."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")

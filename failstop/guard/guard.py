@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
     class Board(Protocol):
-        """What a driver drives through. This is the service (service.py), or nothing in a dry run (dry.py)."""
+        """What a driver drives through: the service (service.py), or a stand-in during a dry run (dry.py)."""
 
         settings: Settings | None
         scale: Scale
@@ -48,13 +48,15 @@ if TYPE_CHECKING:
 LISTEN_NS = 5_000_000
 """How often the board's bytes are read while a driver has the port open."""
 IDLE_NS = 100_000_000
-"""The longest sleep while no program has the port open. A driver's first bytes may be this old when they are read."""
+"""The longest sleep while no program has the port open. A driver may have written its first bytes at any time during
+such a sleep, so the guard assumes that they are as old as the whole sleep."""
 LOOK_NS = 500_000_000
-"""How often the guard checks whether the service and the link still exist."""
+"""How often the guard checks whether the service still runs and whether the link to the guard port still exists."""
 SAY_NS = 2_000_000_000
-"""How often the report about the driver is repeated, so that it does not look old."""
+"""How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
 PAST_NS = 4_000_000_000
-"""How long the board's bytes are kept for the next driver."""
+"""How long bytes from the board are kept. When a driver opens the port, the board's DriverLanguage first gets these
+bytes."""
 A_DRIVER = "a driver"
 
 
@@ -73,15 +75,15 @@ class Guard:
         """True if more programs than may had the port open when it was last counted, before any of them ended."""
         self._flooded = False
         self._wrote = False
-        """True if bytes of this driver were read."""
+        """True if the guard has read bytes from the current driver."""
         self._early = b""
         """Bytes that were written before the guard could see which program wrote them."""
         self._empty_ns = monotonic_ns()
-        """The last time at which no bytes of the driver were waiting to be read."""
+        """The last time at which no bytes from the driver were waiting to be read."""
         self._opened_ns = 0
         """When the driver was first seen."""
         self._hasty = ""
-        """What the last driver did wrong if it closed the port right after a motion, for people; otherwise empty."""
+        """A text for people if the previous driver closed the port right after it wrote a motion. Otherwise empty."""
         self._told: set[str] = set()
         """Lines that are printed only once for each driver."""
         self._said = ("", "")
@@ -134,7 +136,7 @@ class Guard:
             self._tell(line)
 
     def _look(self, now_ns: int) -> None:
-        """Check whether the service and the link still exist."""
+        """Check whether the service still runs and whether the link to the guard port still exists."""
         self._board.look(now_ns)
         if self._board.runs != self._runs:
             self._runs = self._board.runs
@@ -192,7 +194,7 @@ class Guard:
             self._tell(self._crowd())
 
     def _crowd(self) -> str:
-        """The text about too many programs that have the port open, with what to do about it."""
+        """A text which says that too many programs have the port open, and what to do about it."""
         count, seen = self._door.count, list(self._door.seen.values())
         allows = f"guard.openers allows {self._door.most}"
         if len(seen) == 1 and seen[0].times == count:
@@ -204,7 +206,8 @@ class Guard:
         return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
-        """Answer bytes that were written before the guard could see which program wrote them. They move nothing."""
+        """Answer the bytes that were written before the guard could see which program wrote them. A motion in these
+        bytes is not carried out."""
         early, self._early = self._early, b""
         if self._talk and early:
             answers = self._talk.asked(early, monotonic_ns())
@@ -214,13 +217,13 @@ class Guard:
                 self._pty.write(answer)
 
     def _conversation(self) -> Talk | None:
-        """A new conversation. None if no program has the port open, or if no service was found yet."""
+        """Create a new conversation. Returns None if no program has the port open, or if no service was found yet."""
         talk = self._new_talk()
         return talk if self._door.count else None
 
     def _new_talk(self) -> Talk | None:
-        """A new conversation, even if no program has the port open. None if no service was found yet. Raises
-        FailstopError if the settings don't allow one."""
+        """Create a new conversation, even if no program has the port open. Returns None if no service was found yet.
+        Raises FailstopError if the service's settings are not valid for a guard."""
         settings = self._board.settings
         try:
             language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
@@ -238,8 +241,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """Begin a conversation with the program that has the port open, or continue with `talk`. If no program has the
-        port open, wait for one."""
+        """Begin a conversation with the program that has the port open, or continue the conversation `talk`. If no
+        program has the port open, wait for a program."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
@@ -253,8 +256,8 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """Handle that a program has closed the port or died. If several programs have it open, nothing shows which one
-        wrote, so the conversation ends in any case."""
+        """Handle that a program has closed the port or died. This ends the conversation even if other programs still
+        have the port open, because nothing shows which of the programs wrote the bytes."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
@@ -285,8 +288,9 @@ class Guard:
         return self._talk is not None and (self._talk.holds or self._crowded)
 
     def _ending(self, *, held: bool) -> str:
-        """The text that a program has ended. `held`: True if the last motion that it wrote was not zero. The text does
-        not say whether the wheels turned, because motion may have been disabled, or the driver held."""
+        """A text which says that a program has ended. `held`: True if the last motion that the program wrote was not
+        zero. The text does not say that the wheels turned. Motion may have been disabled, or the service may have
+        ignored the program's commands until the program sends zero."""
         seen = list(map(str, self._door.seen.values()))
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:
@@ -294,8 +298,8 @@ class Guard:
         return f"{who} has ended{' or died while too many programs had the port open' if self._crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """Note that the driver wrote a motion and then closed the port at once. A script that opens the port for each
-        command does this."""
+        """Report that the driver wrote a motion and closed the port right afterwards. A script does this if it opens
+        the port again for each command."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
             f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
@@ -317,13 +321,13 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """Read and answer the driver's bytes while something else takes long. If a driver writes without end, this
-        stops after the first time, and the rest of its bytes waits."""
+        """Read and answer the driver's bytes while the guard does something that takes long. If the driver writes
+        faster than the guard reads, only the first call reads, and the rest of the bytes must wait."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 
     def _read(self, now_ns: int) -> bool:
-        """Read what the driver has written, and answer it. Returns True if nothing more waits to be read."""
+        """Read what the driver has written, and answer it. Returns True if no more bytes are waiting."""
         if not self._door.count:
             return True  # the bytes are from a program that has just opened the port; the next turn handles them
         since_ns = self._empty_ns
@@ -340,7 +344,7 @@ class Guard:
         return empty
 
     def _report(self) -> None:
-        """Print what was refused to the driver."""
+        """Print each command of the driver that was refused, and why."""
         if self._talk:
             for refusal in self._talk.refusals:
                 self._tell(f"{self._who}: refused {refusal.what}: {refusal.why}")
@@ -362,7 +366,7 @@ class Guard:
                 self._begin()
 
     def _forward(self, now_ns: int) -> None:
-        """Pass on what the driver has written for the board that is not motion."""
+        """Pass on the driver's next frame that is not motion, for example a question to the board."""
         if self._talk and not self._door.crowded and (frame := self._talk.frame(now_ns)):
             self._board.forward(frame)
 
@@ -375,7 +379,7 @@ class Guard:
             self._board.say(*said)
 
     def _words(self, now_ns: int) -> tuple[str, str]:
-        """The report for people: what the guard sees, and what is wrong."""
+        """The report for people, as (what the guard sees, what is wrong)."""
         if self._talk is None:
             return WAITS + self._pty.path, self._hasty
         wrong = ""

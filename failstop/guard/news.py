@@ -22,11 +22,12 @@ class HungUp(Exception):
 
 
 class News:
-    """What a Door has noticed since its last look."""
+    """What a Door has noticed between two calls of look()."""
 
     def __init__(self) -> None:
         self.any = False
-        """True if anything has happened, so the guard should find out which programs have the port open."""
+        """True if a program may have opened or closed the port or may have ended. The guard should then find out again
+        which programs have the port open."""
         self.ended = False
         """True if a program that had the port open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []

@@ -1,18 +1,20 @@
-"""Openers: finds out which programs have the pseudo-terminal open. It uses inotify, and /proc as far as /proc shows
-other programs.
+"""Openers: finds out which programs have the pseudo-terminal open. It uses inotify and /proc. But /proc does not show
+every process, for example in a container.
 
 The kernel merges equal inotify events that directly follow each other. So if two programs closed the terminal at the
-same moment, that would look like one close. To prevent this, the terminal's directory is watched too. Each open and
+same moment, the two closes would look like one. To prevent this, the terminal's directory is watched too. Each open and
 each close then makes two events from two different watches, and two equal events never follow each other.
 
-inotify reports openings. Each open() is reported once, and the close is reported when the last descriptor of that
-opening is closed. A dup(), or a child that inherits a descriptor, makes no new opening, so several descriptors and
-processes may share one.
+inotify reports openings. An opening begins with an open(), and it ends when the last descriptor of the opening is
+closed. A dup() makes no new opening, and neither does a child that inherits a descriptor. So several descriptors, and
+even several processes, may share one opening.
 
-The owner of an opening is the process that made it, as far as that can be seen. If several processes share the opening,
-the owner is the one that was first seen with it, or else the oldest, because a parent is older than its children.
-Owners count as the drivers, and children that share an opening may come and go. If an owner dies, a child may keep the
-port open, so each owner is also watched by a pidfd.
+The owner of an opening is the process that called open(). Linux does not record this process, so the guard must guess
+it if several processes share an opening. If one of these processes was the owner at the previous search, it stays the
+owner. Otherwise the oldest process is the owner, because a parent is older than its children.
+
+The owners count as the drivers. Children that share an opening may come and go. If an owner dies, a child may keep the
+opening, and then inotify reports no close. So a pidfd also watches each owner.
 """
 
 from __future__ import annotations
@@ -34,9 +36,10 @@ IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
 """PF_EXITING, one of the flags in /proc/PID/stat."""
 _KILLED = 1 << 9 - 1
-"""The bit for SIGKILL among the signals in /proc/PID/stat that are pending for the main thread."""
+"""The bit for SIGKILL in the field of /proc/PID/stat that shows the pending signals of the main thread."""
 _MACHINE = 0xEFFFFFFC
-"""The inode of the machine's first pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
+"""The inode of the machine's first pid namespace (PROC_PID_INIT_INO in Linux). Every process of the machine has a pid
+in this namespace."""
 _EVENT = struct.Struct("iIII")
 _KCMP = {"x86_64": 312, "aarch64": 272}.get(os.uname().machine, -1)
 _KCMP_FILE = 0
@@ -48,7 +51,7 @@ class Watch:
     """Reports when a path is opened or closed."""
 
     def __init__(self, path: str) -> None:
-        """Raises OSError."""
+        """`path`: the file to watch. Raises OSError."""
         self.fd = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
         if self.fd < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), "inotify")
@@ -60,7 +63,7 @@ class Watch:
             raise OSError(error, os.strerror(error), path)
 
     def events(self) -> list[bool]:
-        """The events since the last call, in order. True is an open, False is a close."""
+        """The opens (True) and closes (False) of the path since the previous call, oldest first."""
         found: list[bool] = []
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self.fd, 65536):
@@ -88,11 +91,11 @@ class Held(Data):
 def openers(
     path: str, before: Container[int], opened: int, meanwhile: Callable[[], None]
 ) -> tuple[dict[int, Opener], bool]:
-    """The programs, except this one, that have opened the terminal and still have it open, by pid. The second value is
-    True if there may be more programs that /proc does not show.
+    """The programs that have opened the terminal and still have it open, by pid. The guard itself is left out. The
+    second value is True if /proc may hide more such programs.
 
-    `before` and `opened`: see owners(). `meanwhile`: called after each process, because if many processes run, this
-    takes longer than a driver waits for an answer.
+    `before` and `opened`: see owners(). `meanwhile`: called after each process. If many processes run, the search takes
+    longer than a driver waits for an answer.
     """
     wanted = identity(path)
     held: list[Held] = []
@@ -133,10 +136,11 @@ def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
 def owners(
     held: Sequence[Held], before: Container[int], opened: int, same: Callable[[Held, Held], bool | None]
 ) -> dict[int, int]:
-    """The owners of the openings that these descriptors belong to, as {pid: number of openings}.
+    """The owners of the openings that the descriptors in `held` belong to, as {pid: number of openings}.
 
-    `before`: the pids of the owners at the last look. `same`: returns True if two descriptors share an opening, False
-    if they don't, and None if that can't be known. In the last case at most `opened` openings are assumed.
+    `before`: the pids that the previous search found as owners. `same`: returns True if two descriptors share an
+    opening, False if they don't, and None if the kernel does not say. `opened`: how many openings inotify has counted.
+    Where `same` returns None, more openings than this are never assumed.
     """
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
@@ -147,7 +151,7 @@ def owners(
 
 
 def same_opening(one: Held, other: Held) -> bool | None:
-    """True if the two descriptors come from the same open(), False if not. None if the kernel does not say."""
+    """True if the two descriptors come from the same open(), False if they don't. None if the kernel does not say."""
     found: int = _libc.syscall(_KCMP, one.pid, other.pid, _KCMP_FILE, ctypes.c_ulong(one.fd), ctypes.c_ulong(other.fd))
     return None if found < 0 else found == 0
 
@@ -158,7 +162,8 @@ def _began(pid: int) -> int:
 
 
 def _all_listed(pids: list[int]) -> bool:
-    """True if /proc lists every process. It does not in a container, or with the mount option hidepid."""
+    """True if /proc lists every process. In a container, or with the mount option hidepid, it lists only some of
+    them."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino == _MACHINE and 1 in pids
     except OSError:
@@ -166,8 +171,8 @@ def _all_listed(pids: list[int]) -> bool:
 
 
 def _may_be(pid: int, name: str, inode: int) -> bool:
-    """True if this descriptor of a process may be open on a terminal with this inode number. The file itself is not
-    touched, because it may be on a server that does not answer. Raises OSError."""
+    """True if the descriptor `name` of a process may be open on a terminal with this inode number. This looks only at
+    /proc and not at the open file, because the file may be on a server that does not answer. Raises OSError."""
     path = os.readlink(f"/proc/{pid}/fd/{name}")
     if path.startswith("/dev/") or not path.startswith("/"):
         return path.startswith("/dev/")
@@ -183,11 +188,11 @@ def identity(path: str) -> tuple[int, int, int]:
 
 
 def dying(pid: int) -> bool:
-    """True if a process is ending, or is gone. A pending SIGKILL counts, because on a busy machine it may take tens of
-    milliseconds until the process runs again and starts to end. After that, the kernel frees the memory, which takes
-    long for a large process, and only then closes the files.
+    """True if a process is ending, or is gone. A process with a pending SIGKILL counts as ending, because on a busy
+    machine it may take tens of milliseconds until the process runs again and begins to end. Then the kernel frees the
+    process's memory, which takes long for a large process. The files are closed only after that.
 
-    If the main thread has ended, the other threads decide, because the process may go on without it.
+    If the main thread has ended, the process counts as ending only if all its other threads are ending too.
     """
     try:
         stat = _read(f"/proc/{pid}/stat")
@@ -197,7 +202,7 @@ def dying(pid: int) -> bool:
 
 
 def _others(pid: int) -> Iterator[bytes]:
-    """The stat in /proc of each thread of a process, except for the main thread. Raises OSError."""
+    """The content of /proc/PID/task/TID/stat for each thread of a process except its main thread. Raises OSError."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
             with contextlib.suppress(OSError):
@@ -205,14 +210,15 @@ def _others(pid: int) -> Iterator[bytes]:
 
 
 def is_ending(stat: bytes) -> bool:
-    """True if a thread is ending, judging by its stat in /proc. A signal that ends a process without a core dump
-    becomes a SIGKILL of each thread as soon as it is sent, and a SIGKILL is never withdrawn."""
+    """True if a thread is ending. `stat`: the content of the thread's stat file in /proc. If a signal ends a process
+    without a core dump, Linux at once turns the signal into a SIGKILL of each thread, and never withdraws the
+    SIGKILL."""
     numbers = _fields(stat)
     return bool(int(numbers[6]) & _EXITING or int(numbers[28]) & _KILLED)
 
 
 def _fields(stat: bytes) -> list[bytes]:
-    """The fields of a stat in /proc, starting with the state."""
+    """The fields of a stat file in /proc, without the first two, which are the pid and the name."""
     return stat.rpartition(b") ")[2].split()
 
 
@@ -222,7 +228,8 @@ def _read(path: str) -> bytes:
 
 
 def program(pid: int) -> str:
-    """The name of a program, for people. For a script it is the name of the script's file."""
+    """The name of the program that a process runs, for people. If the program is a script, the name is that of the
+    script's file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
             words = os.fsdecode(file.read(4096)).split("\0")

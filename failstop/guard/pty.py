@@ -2,14 +2,16 @@
 end of a pseudo-terminal is called the slave.
 
 This file depends on these facts about Linux:
-- A new slave echoes and edits lines, so what the guard writes would come back as if it were the driver's commands. So
-  the link is made only after echo and editing were switched off.
+
+- A new slave echoes what it receives, and edits lines. The guard would read its own bytes back as if the driver had
+  written them. So the guard switches off echo and editing before it makes the link.
 - If a driver sets the exclusive mode (TIOCEXCL), the mode stays set after the driver has ended, and only a descriptor
-  of the slave can clear it. So the guard keeps such a descriptor. It also uses this mode itself, so that no more
-  programs can open the port than may have it open.
-- What a driver wrote before it died can still be read. What it did not read is still there for the next driver.
-- If a driver has stopped the output (TCOOFF), it stays stopped for the next driver.
-- Root can hang up a terminal (vhangup). Every descriptor of the slave is dead then, including the guard's own.
+  of the slave can clear it. So the guard keeps a descriptor of the slave. The guard also sets the exclusive mode
+  itself, when as many programs have the port open as allowed.
+- After a driver has died, the guard can still read what the driver wrote. Bytes that the driver did not read are still
+  there, and the next driver would read them.
+- If a driver stops the output of the terminal (TCOOFF), the output stays stopped for the next driver.
+- Root can hang up a terminal (vhangup). All descriptors of the slave are dead then, even the guard's own descriptor.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ if TYPE_CHECKING:
 
 READ_BYTES = 4096
 MOST_READ = 65536
-"""How many bytes of a driver are read at once. The limit keeps a driver that writes without end from blocking other
-work."""
+"""How many bytes from a driver are read at once. Without this limit, a driver that writes without end would keep the
+guard from its other work."""
 MODE = 0o660
 GROUP = "failstop"
 
@@ -47,7 +49,7 @@ class Pty:
         self.name = ""
         """The path of the slave."""
         self._left = b""
-        """The rest of an answer, if the driver has received only its beginning."""
+        """The part of an answer that still must be written, if the terminal has accepted only the beginning."""
         self._lock = self._locked()
         try:
             self._open()
@@ -57,9 +59,9 @@ class Pty:
             raise
 
     def _locked(self) -> int:
-        """Lock the file next to the link, because two guards with the same path would take the link from each other.
-        The lock file is never removed. Otherwise two guards could each lock a different file with the same name. Raises
-        FailstopError."""
+        """Lock the file `path`.lock next to the link. Without the lock, two guards with the same path would take the
+        link from each other. The lock file is never removed. If it were, two guards could each lock a different file
+        with the same name. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -83,8 +85,8 @@ class Pty:
         self._link()
 
     def _let_in(self) -> None:
-        """Allow the owner, and the group of the service's clients, to open the pseudo-terminal. If that group does not
-        exist, or this user may not use it, only the owner may."""
+        """Allow the guard's own user, and the group of the service's clients, to open the pseudo-terminal. If that
+        group does not exist, or if this user may not use it, allow only the guard's own user."""
         import grp  # once
 
         with contextlib.suppress(KeyError, PermissionError):
@@ -94,8 +96,8 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Make the link. A link that exists already is replaced, wherever it leads, because an earlier guard may have
-        left it. Raises FailstopError if the path exists and is not a link."""
+        """Make the link. If a link already exists at the path, it is replaced, wherever it leads, because an earlier
+        guard may have left it. Raises FailstopError if the path exists and is not a link."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):
@@ -110,8 +112,8 @@ class Pty:
             raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
-        """True if the link still leads to this pseudo-terminal. A service that ends may remove its runtime directory,
-        and the link with it."""
+        """True if the link still leads to this pseudo-terminal. When the service ends, it may remove its runtime
+        directory, and the link in it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
@@ -122,7 +124,8 @@ class Pty:
         self._link()
 
     def read(self) -> tuple[bytes, bool]:
-        """Read what the driver has written. Returns (at most MOST_READ bytes, True if nothing more waits)."""
+        """Read what the driver has written, at most MOST_READ bytes. Returns (the bytes, True if no more bytes are
+        waiting)."""
         found = bytearray()
         while len(found) < MOST_READ:
             try:
@@ -135,8 +138,8 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Give the driver an answer or a frame, whole. Returns False if the driver does not read, so this one is
-        lost."""
+        """Write one answer or one frame to the driver, either completely or not at all. Returns False if `data` is
+        lost, because the driver does not read."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
         if self._left:
@@ -153,7 +156,8 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Keep more programs from opening the terminal, or let them. Root can open it in any case. Raises HungUp."""
+        """Set the exclusive mode of the terminal if `on`, so that no more programs can open it. Otherwise clear the
+        mode. Root can open the terminal in any case. Raises HungUp."""
         with _alive():
             fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
 
@@ -163,8 +167,8 @@ class Pty:
             termios.tcgetattr(self.slave)
 
     def clean(self) -> bytes:
-        """Reset the terminal for the next driver, after the last one has gone. Returns what the last driver wrote and
-        nobody has read. Raises HungUp."""
+        """Reset the terminal after a driver has gone, so that the next driver finds it clean. Returns the bytes that
+        the gone driver wrote and the guard had not read yet. Raises HungUp."""
         self._left = b""
         with _alive():
             # If a driver has stopped the output (tcflow, or XOFF), what the next driver writes would not arrive here.
@@ -181,8 +185,8 @@ class Pty:
         return found
 
     def hang_up(self) -> None:
-        """Close the pseudo-terminal and open a new one. Every program that has the old one open reads the end of file,
-        and can't write any more. Raises FailstopError."""
+        """Close the pseudo-terminal and open a new one. A program that still has the old one open can't write to it any
+        more, and reads the end of the file. Raises FailstopError."""
         self._close()
         self._open()
 

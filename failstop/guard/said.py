@@ -1,5 +1,5 @@
-"""Said: the words in the guard's reports about itself. They appear on the service's screens, and doctor recognises the
-guard by them."""
+"""Said: the words that the guard uses in its reports about itself. The service's screens show these reports, and
+`failstop doctor` finds the guard among the clients by these words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:
-    """The path of the guard port in a client's report. Empty if the client is not a guard."""
+    """The path of the guard port. `sees`: a client's report about itself. Returns an empty text if the client is not a
+    guard."""
     for words in (DRIVES, WAITS):
         if sees.startswith(words):
             return sees.removeprefix(words)

@@ -1,4 +1,5 @@
-"""Scale: converts the wheel speeds that a driver writes to a velocity of the base, as the service accepts it. Pure."""
+"""Scale: converts the wheel speeds that a driver writes into a velocity of the base, because the service accepts only
+velocities. Pure."""
 
 from __future__ import annotations
 
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 _NUDGE = 1e-3
-"""Each speed is increased by this share of a step. The service rounds speeds towards zero to a multiple of the board's
-step. The driver's speed is such a multiple already. Without the increase it could lose a whole step, because the
-velocity that is computed from it may be a tiny bit too small."""
+"""The guard makes each speed larger by this fraction of the board's speed step. The driver's speeds are whole numbers
+of steps. The velocity that the guard computes from the speeds may be a tiny bit too small. The service rounds down to
+whole steps, so without the increase a wheel could turn a whole step slower."""
 _ROUNDING = 1.001
 AXES = (
     ("limits.vx_mps", "forward or backward", "m/s"),
@@ -27,13 +28,13 @@ AXES = (
 
 
 class Scale:
-    """Converts speeds using the wheels in the settings. It is the inverse of how the service converts a velocity to
-    speeds."""
+    """Converts wheel speeds to a velocity, using the wheels in the settings. This reverses the service's conversion
+    from a velocity to wheel speeds."""
 
     def __init__(self, settings: Settings, per_rps: float, step_rps: float, *, assumed: bool = False) -> None:
-        """`per_rps`: how many of the board's speed units are one turn of a wheel per second. `step_rps`: the smallest
-        difference between two speeds of the board, turns per second. `assumed`: True if nobody has confirmed `per_rps`,
-        so the limits are lower."""
+        """`per_rps`: how many of the board's speed units make one wheel turn per second. `step_rps`: the smallest
+        difference between two speeds of the board, turns per second. `assumed`: True if nobody has confirmed `per_rps`.
+        The limits in `settings` are lower then."""
         self._chassis = from_settings(settings)
         self.wheels = len(self._chassis.rest) - self._chassis.steers
         self._limits = [settings[key] for key, *_ in AXES]
@@ -50,8 +51,8 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """A text about a velocity beyond the settings' limits, which says what is commanded and what the limit is.
-        Empty if the velocity is within the limits."""
+        """If the velocity is beyond the settings' limits, returns a text with the commanded speed and the limit.
+        Otherwise the text is empty."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]

@@ -1,8 +1,8 @@
-"""Service: the guard as a client of the service. The guard has a client slot under the driver's name, and reads what
-the board has sent.
+"""Service: the guard as a client of the service. The guard occupies a client slot under the driver's name, and reads
+what the board has sent.
 
-If the service ends, the guard looks for the next run of it. The driver does not notice this, but meanwhile its commands
-move nothing.
+If the service ends, the guard waits until the service is started again. The driver does not notice this, but until then
+the driver's commands move nothing.
 """
 
 from __future__ import annotations
@@ -24,29 +24,32 @@ if TYPE_CHECKING:
     from failstop.guard.talk import Command
 
 AGAIN_NS = 500_000_000
-"""How often to look for the service while it is not running."""
+"""How often the guard looks for the service while it is not running."""
 SOURCE = "guard"
-"""The source of the driver's commands if the settings have a source with this name. Otherwise the source is cmd_vel."""
+"""The name of the source under which the guard sends the driver's commands. If the settings have no source with this
+name, the guard uses the source cmd_vel."""
 
 
 class Service:
-    """The service that currently runs, or the wait for the next one."""
+    """The guard's connection to the service. While the service is not running, it waits for the service."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.note = ""
-        """Why there is no service or no client slot at the moment. Empty if both exist."""
+        """Why the service is not running, or why the guard has no client slot. Empty if the service runs and the guard
+        has a slot."""
         self.settings: Settings | None = None
-        """The settings of the current run, or of the last run if none is running. None until a run was found."""
+        """The settings of the service's newest run, which may have ended. None until the guard has found a run."""
         self.runs = 0
-        """How many runs of the service have been found."""
+        """How many runs of the service the guard has found."""
         self._reader: StateReader | None = None
         self._client: Client | None = None
         self._who: tuple[str, int | None] | None = None
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """True if the service is running. If it is not, this looks for it, at most every AGAIN_NS."""
+        """True if the service is running. While it is not running, this method looks for it, at most once every
+        AGAIN_NS."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:
@@ -88,15 +91,16 @@ class Service:
                 self.note = str(error)
 
     def join(self, who: str, pid: int | None) -> None:
-        """From now on, command in the name of this program. `pid`: None if it is the guard itself."""
+        """Send all further commands in the name of the program `who`, whose pid is `pid`. `pid` is None if the guard
+        itself is the client, or if the driver's pid is not known."""
         self.leave(in_order=True)
         self._who = who, pid
         if self._reader:
             self._connect()
 
     def leave(self, *, in_order: bool) -> None:
-        """Stop commanding in the name of the program. `in_order`: False if it died or ended while it drove. The service
-        then acts as the setting gate.driver_death says."""
+        """Stop sending commands in the name of the driver. `in_order`: False if the driver ended or died while it was
+        driving. The service then does what the setting gate.driver_death says."""
         self._who = None
         self._leave(in_order=in_order)
 
@@ -106,7 +110,7 @@ class Service:
             client.close(in_order=in_order)
 
     def command(self, command: Command) -> str:
-        """Pass a command to the service. Returns a text if the command is beyond the limits, otherwise an empty
+        """Pass a motion command to the service. Returns a text if the command is beyond the limits, otherwise an empty
         text."""
         if self._client is None:
             return ""
@@ -119,13 +123,15 @@ class Service:
         return self.scale.beyond(velocity)
 
     def forward(self, frame: bytes) -> None:
-        """Pass a frame for the board that is not motion to the service. The service decides whether it is sent."""
+        """Pass one of the driver's frames that is not motion to the service. The service decides whether the board gets
+        it."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("aux", frame, wake=True)
 
     def say(self, sees: str, wrong: str) -> None:
-        """Report to people how the driver is doing. `sees`: what the guard sees. `wrong`: what is wrong, or empty."""
+        """Report to people how the driver is doing. `sees`: what the guard sees. `wrong`: what is wrong; empty if
+        nothing is."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("said", sees, wrong)
@@ -139,7 +145,7 @@ class Service:
         return getattr(answer, "block", None)
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """What the board has sent since the last call, as (when it came, the bytes)."""
+        """What the board has sent since the previous call, as (when the bytes came, the bytes)."""
         found = []
         for ring in self._received if self._reader else ():
             while entry := ring.next():

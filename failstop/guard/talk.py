@@ -1,11 +1,12 @@
 """Talk: the conversation with one driver, from its first byte to its end. Pure: every time is an argument.
 
-A language for each board decodes what the driver's bytes mean (failstop/board/driver.py). This file decides what to do
-about it: which motion counts and for how long, which answers are still useful, and whether a driver had commanded zero
-before it ended.
+For each kind of board, a DriverLanguage decodes the driver's bytes (failstop/board/driver.py). This file decides what
+follows from them. It decides which motion counts and for how long, and which answers are still useful. It also decides
+whether a driver that has ended had stopped the wheels first.
 
-A motion counts from the last moment at which no bytes of the driver were waiting to be read. So an old motion is not
-taken for a new one if the guard was held up, or if a driver writes faster than the guard reads.
+The guard can't see when a driver wrote a motion. It counts the motion's age from the last moment at which no bytes from
+the driver were waiting. So an old motion never looks new, even if the guard was held up or the driver writes faster
+than the guard reads.
 """
 
 from __future__ import annotations
@@ -22,21 +23,23 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 RENEW_NS = 100_000_000
-"""If a motion counts for longer than the service lets a command count, the command is repeated at least this often."""
+"""The driver's motion may count for longer than the service lets one command count. The guard then sends the command
+again, at least this often."""
 FRAME_EVERY_NS = 20_000_000
-"""The shortest time between two frames that are not motion, because motion needs the board's line."""
+"""The shortest time between two frames that are not motion, so that they leave the serial line free for motion."""
 MOST_FRAMES = 8
-"""How many frames that are not motion may wait. More of them are dropped."""
+"""How many frames that are not motion may wait to be sent. If this many are waiting, a frame of another kind is
+dropped."""
 MOST_REFUSALS = 32
 """How many different refusals are reported for one driver."""
 LATE_FOR_NS = 3_000_000_000
-"""If a driver ends within this time after it got an answer too late, the late answer may be the reason."""
+"""If a driver ends within this time after it got a late answer, the report about its end mentions the late answer."""
 NOT_WHEELS = "a motion that is not valid"
 
 
 class Command(Data):
-    """A command for the service: the wheels' speeds by wire id in the board's unit, and the time from which it
-    counts."""
+    """A command for the service: the wheels' speeds by wire id, in the board's unit. `t_ns`: the time from which the
+    service counts the command's age."""
 
     speeds: tuple[float, ...]
     t_ns: int
@@ -44,16 +47,16 @@ class Command(Data):
 
     @property
     def moves(self) -> bool:
-        """True if it commands a speed other than zero."""
+        """True if the command has a speed other than zero."""
         return any(self.speeds)
 
 
 class Talk:
-    """What one driver has written, and what must be commanded because of it."""
+    """What one driver has written, and which commands follow from it."""
 
     def __init__(self, language: DriverLanguage, wheels: int, timeout_ns: int, source_ns: int) -> None:
-        """`wheels`: how many speeds a motion has. `timeout_ns`: how long the driver's last motion counts (the setting
-        guard.timeout_s). `source_ns`: how long the service lets a command count."""
+        """`wheels`: how many speeds a motion has. `timeout_ns`: how long the driver's newest motion counts (the setting
+        guard.timeout_s). `source_ns`: how long the service lets one command count."""
         self._language = language
         self._wheels = wheels
         self.timeout_ns, self._source_ns = timeout_ns, source_ns
@@ -61,25 +64,26 @@ class Talk:
         self._speeds: tuple[float, ...] | None = None
         self._steering_rad: float | None = None
         self._lets_go = True
-        """True if the newest motion that the driver itself has written is zero, or if it has written none. A stop that
-        failstop has put in place of a refused motion does not count."""
+        """True if the driver's own newest motion is zero, or if the driver has written no motion. If failstop refuses a
+        motion and replaces it with a stop, that stop is not the driver's own."""
         self.refused = ""
         """Why the driver's newest motion was replaced by a stop, for people. Empty if it was not replaced."""
         self._written_ns = 0
-        """The earliest time at which the newest motion may have been written."""
+        """The earliest time at which the driver may have written its newest motion."""
         self._late_ns = self._late_at_ns = 0
-        """By how much the last late answer was late at most, and when it was given."""
+        """How long the driver may have waited for its newest late answer, ns, and when that answer was given."""
         self._sent_ns: int | None = None
-        """The time from which the last command to the service counted. None if this motion was not commanded yet."""
+        """The `t_ns` of the newest command that was made from the current motion. None if no command was made from it
+        yet."""
         self._frames: dict[str, bytes] = {}
-        """Frames for the board that are not motion, by kind, in the order in which they came."""
+        """The driver's waiting frames that are not motion, by kind. The oldest kind comes first."""
         self._framed_ns = -FRAME_EVERY_NS
         self._known: set[str] = set()
         self.refusals: list[DriverRefusal] = []
         """New refusals, for people. The guard's loop reports them and empties the list."""
 
     def resume(self, before: Talk) -> None:
-        """Continue the conversation `before` with the same driver, after the service was started again."""
+        """Continue the conversation `before` with the same driver, after the service was restarted."""
         if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
             resume(before._language)
 
@@ -94,13 +98,13 @@ class Talk:
         return self._speeds is not None and any(self._speeds)
 
     def silent_ns(self, now_ns: int) -> int:
-        """How long the driver's last motion has been too old, if it has a speed other than zero. 0 if it still
-        counts."""
+        """How long ago the driver's newest motion expired, ns. Returns 0 if the motion still counts, or if it is
+        zero."""
         return max(0, now_ns - self._written_ns - self.timeout_ns) if self.drives else 0
 
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
-        """Handle bytes that the driver wrote after `since_ns` and not later than `now_ns`. Returns the answers to
-        them."""
+        """Handle bytes that the driver wrote after `since_ns` and not later than `now_ns`. Returns the answers for the
+        driver."""
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
         motions = [row for row in rows if isinstance(row, DriverMotion)]
@@ -123,22 +127,23 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """If an answer came too late in the last seconds, returns how late it was at most and how long the driver waits
-        for an answer. Otherwise None."""
+        """If the driver got a late answer within the last LATE_FOR_NS, returns how long it may have waited for the
+        answer, and how long this kind of driver is willing to wait, both in ns. Otherwise returns None."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
 
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
-        """Handle bytes that may be from this driver or from the one before it. Returns the answers to them. Returns
-        None if they would move a wheel. Then none of the bytes counts, and the caller must begin a new conversation."""
+        """Handle bytes that may be from this driver or from a driver that has gone. Returns the answers to the bytes.
+        If the bytes contain a motion other than zero, returns None. The caller must then begin a new conversation, so
+        that none of the bytes counts."""
         rows = self._language.wrote(chunk, now_ns)
         if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):
             return None
         return [row.data for row in rows if isinstance(row, DriverAnswer)]
 
     def frame(self, now_ns: int) -> bytes:
-        """The next frame for the board that is not motion, if one is due now. Otherwise empty."""
+        """The driver's next frame that is not motion. Empty if none is due now."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
             return b""
         self._framed_ns = now_ns
@@ -152,21 +157,24 @@ class Talk:
         self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
 
     def refuse(self, what: str, why: str) -> None:
-        """Refuse something that the driver has written, and report it once."""
+        """Report that a request of the driver is refused. The same request is reported only once. `what`: the request.
+        `why`: what failstop did instead."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
             self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Handle bytes from the board. Returns what must be passed to the driver. Each item must be written whole."""
+        """Handle bytes from the board. Returns the frames for the driver. The caller must write each frame as a
+        whole."""
         return self._language.heard(chunk, now_ns)
 
     def command(self, now_ns: int) -> Command | None:
-        """The command to give to the service now, or None if the last one is still right.
+        """The command that must be sent to the service now. None if the service needs no new command.
 
-        The service lets a command count only for its own timeout. So if a motion may count for longer, it is commanded
-        again and again. The last of these commands is dated back, so that it ends together with the driver's timeout.
-        So the wheels stop in time even if the guard hangs.
+        The service lets each command count only for its own timeout, which may be shorter than the driver's timeout. So
+        the guard sends the command again and again while the driver's motion counts. The last command carries an
+        earlier time, so that it expires exactly when the driver's motion expires. Because of this, the wheels stop in
+        time even if the guard hangs.
         """
         if self._speeds is None:
             return None
@@ -182,11 +190,13 @@ class Talk:
 
     @property
     def _last_ns(self) -> int:
-        """The time from which the last command for this motion counts."""
+        """The `t_ns` of the last command for the current motion. With this time, the command expires together with the
+        motion."""
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """When command() or frame() will have something to send if the driver writes nothing more. None if never."""
+        """When command() or frame() will next return something, if the driver writes nothing more. None if neither of
+        them will."""
         motion_ns = self._motion_due_ns()
         if not self._frames:
             return motion_ns
@@ -201,16 +211,16 @@ class Talk:
         return min(self._sent_ns + self._renew_ns, self._last_ns) if self._sent_ns < self._last_ns else None
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
-        """End the conversation, because the driver has gone. `unread`: its bytes that were not read yet. Returns True
-        if the driver ended or died while driving. A motion in the unread bytes is not carried out, but a zero in them
-        shows that the driver had stopped the wheels itself."""
+        """End the conversation, because the driver has gone. `unread`: bytes from the driver that were not read yet.
+        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out. But if
+        the driver's last motion in `unread` is zero, the driver had stopped the wheels itself."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
     @property
     def holds(self) -> bool:
-        """True if the newest motion that the driver itself has written is not zero, even if failstop has stopped the
-        wheels since then."""
+        """True if the driver's own newest motion is not zero. This stays true even if failstop has stopped the
+        wheels."""
         return not self._lets_go
 
     def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:
