@@ -1,8 +1,10 @@
-"""Bells wake processes, and can be waited for together in one epoll set. A bell carries no data and only means "look".
-If a ring is lost, the reader looks a tick later, but it misses nothing.
+"""Bells wake processes. A loop can wait for several bells, and for other descriptors, in one epoll set. A bell carries
+no data. It only tells a process to look at the shared memory. If a ring is lost, the process looks at its next tick
+instead, so nothing is missed.
 
-EventBell (an eventfd) is for the service's own processes, which inherit it. A pipe (a FIFO in the runtime directory)
-is for clients. Each byte written to it names a slot to look at, as a hint, and any byte rings the bell.
+An EventBell (an eventfd) is for the service's own processes, which inherit it. A pipe (a FIFO in the runtime directory)
+is for clients. Each byte in the pipe is the number of a slot, which hints at where to look. But any byte rings the
+bell.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ class EventBell:
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake the process that waits for this bell. If the counter is full, because the process has not looked for
-        very long, the bell is already ringing."""
+        """Wake the process that waits for this bell. If the eventfd's counter is full, the process has not looked for
+        very long. The bell is still ringing then, so nothing needs to be written."""
         # Not contextlib.suppress, because it costs more than the call itself. The same applies to clear().
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
@@ -37,7 +39,8 @@ class EventBell:
             pass
 
     def clear(self) -> None:
-        """Clear all rings up to now. Call it before you look for work, so that a ring during the work is not lost."""
+        """Clear all rings up to now. Call it before you look for work. If a ring comes while you work, it then wakes
+        you again."""
         try:  # noqa: SIM105
             os.read(self.fd, 8)
         except BlockingIOError:
@@ -45,7 +48,8 @@ class EventBell:
 
 
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:
-    """Create a FIFO with exactly this mode. A file left by a dead run is replaced. Raises OSError."""
+    """Create a FIFO with exactly the given mode. If a dead run has left a file at this path, the file is replaced.
+    Raises OSError."""
     above, name = os.path.split(path)
     where = place.directory(above)
     try:
@@ -60,20 +64,20 @@ def make_pipe(path: str, mode: int, gid: int = -1) -> None:
 
 
 def open_pipe(path: str) -> int:
-    """Open the service's end of a FIFO. It is opened for reading and writing, so the service never reads an end of file
-    when the last client leaves."""
+    """Open the service's end of a FIFO. The FIFO is opened for reading and writing, because otherwise the service would
+    read an end of file when the last client leaves."""
     return place.opened(path, os.O_RDWR, pipe=True)
 
 
 def open_pipe_to_write(path: str) -> int:
-    """Open a client's end of a FIFO. Raises FileNotFoundError or ENXIO if no service runs, place.Untrusted, or another
-    OSError."""
+    """Open a client's end of a FIFO. If no service runs, raises FileNotFoundError, or an OSError with ENXIO. May also
+    raise place.Untrusted or another OSError."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write at most PIPE_BUF bytes, all of them or none. Returns False if the pipe is full; the bell rings then too.
-    Raises BrokenPipeError if the service is gone."""
+    """Write `data`, at most PIPE_BUF bytes, completely or not at all. Returns False if the pipe is full. A full pipe
+    already rings the bell, so the service still wakes up. Raises BrokenPipeError if the service is gone."""
     try:
         os.write(fd, data)
     except BlockingIOError:
@@ -87,8 +91,8 @@ def send(fd: int, data: bytes) -> bool:
 
 MOST_BYTES = 65536
 _received = bytearray(MOST_BYTES)
-"""A buffer that exists from the start, because the reader of stop requests must keep working even when no process can
-get more memory."""
+"""A buffer for receive(). It is created at the start, because the reader of stop requests must keep working even when
+the machine has no memory left."""
 
 
 def receive(fd: int) -> bytes:

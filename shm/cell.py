@@ -2,15 +2,15 @@
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
-The CRC covers everything after it. It is seeded with the record's name and the run's incarnation, so bytes of a
-different record, or of a dead run, never pass the check.
+The CRC covers the length, seq, t_mono_ns and payload. It is seeded with the record's name and the run's incarnation, so
+bytes of a different record, or of a dead run, never pass the check.
 
 To write a cell: (1) build the whole cell privately, (2) pass a barrier, (3) store it with ONE slice assignment.
-To read a cell: (1) take ONE slice copy, (2) check the private copy, (3) use nothing else than that copy.
+To read a cell: (1) take ONE slice copy, (2) check the private copy, (3) use only the private copy.
 
-So integrity needs no memory ordering. A reader may see a mixture of old and new bytes, even after a death in the middle
-of a write, and the CRC of its private copy shows that. Never use `struct.pack_into` on shared memory: it writes zeros
-first, and a reader would see them.
+A reader may copy a mixture of old and new bytes, for example if the writer dies in the middle of a write. The CRC of
+the private copy then shows the damage. So a reader never accepts a damaged value, in whatever order the processor loads
+and stores the bytes. Never use `struct.pack_into` on shared memory: it writes zeros first, and a reader would see them.
 
 A Latest consists of two cells that are written in turn. Its value is the newest whole cell. A Ring is a stream of
 entries.
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 
 
 class FileView:
-    """A file as memory, through pread and pwrite. It is used for files that clients may write, because the service maps
-    only files that no one else can write.
+    """A file that is used like memory, through pread and pwrite. It is for files that clients may write. The service
+    maps only files that no other program can write.
 
-    If a client truncates the file, a read returns too few bytes, which no CRC check passes. With a mapping, a SIGBUS
-    would kill the reader.
+    If a client truncates the file, a read returns too few bytes, and the CRC check then rejects them. If the file were
+    mapped, the reader would be killed by a SIGBUS.
     """
 
     def __init__(self, fd: int) -> None:
@@ -64,17 +64,18 @@ class FileView:
 
 
 class PayloadTooLarge(ValueError):
-    """The payload is larger than the capacity that its record declares in the layout."""
+    """The payload is larger than the layout allows for its record."""
 
 
 def seed(record: str, incarnation: int) -> int:
-    """The CRC seed for a record (`segment.record`) in the run with this incarnation."""
+    """The CRC seed for the cells of a record in one run. `record`: the record's name, as `segment.record`.
+    `incarnation`: the random number of the run."""
     return crc32(record.encode(), crc32(incarnation.to_bytes(8, "little")))
 
 
 def build(seq: int, t_ns: int, payload: bytes, crc_seed: int, capacity: int) -> bytes:
-    """Return the bytes of a cell, ready for one slice assignment. `seq` starts at 1, because 0 means never written.
-    Raises PayloadTooLarge."""
+    """Return the bytes of a cell, ready for one slice assignment. `seq` starts at 1, because 0 marks a cell that was
+    never written. Raises PayloadTooLarge."""
     if len(payload) > capacity:
         raise PayloadTooLarge(f"payload of {len(payload)} bytes, the record holds {capacity}")
     body = _BODY.pack(len(payload), seq, t_ns) + payload
@@ -93,7 +94,8 @@ def check(raw: bytes, crc_seed: int) -> Entry | None:
 
 
 def cell_bytes(capacity: int) -> int:
-    """How many bytes a cell of this capacity takes. It fills whole 64-byte lines, so no two cells share a line."""
+    """How many bytes a cell for a payload of at most `capacity` bytes takes. The cell fills whole 64-byte lines, so no
+    two cells share a line."""
     return -(-(CELL_HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
 
 
@@ -109,33 +111,32 @@ class _Cells:
         self._seed = crc_seed
 
     def _slice(self, seq: int) -> slice:
-        """The place of the entry with the number `seq`."""
+        """Where the entry with the number `seq` is in the segment."""
         at = self._at + seq % self._cells * self._size
         return slice(at, at + self._size)
 
     def _last(self) -> int:
-        """The number of the newest whole entry, or 0 if there is none."""
+        """The number of the newest whole entry, or 0 if the record has none."""
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """The numbers of all whole entries, from one copy of the whole record. It is too slow for frequent use. Empty
-        cells are skipped quickly, and most rings are nearly empty."""
+        """The numbers of all whole entries, from one copy of the whole record. This skips empty cells quickly, and most
+        rings are nearly empty. It is still too slow for frequent use."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
         seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
         return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
 
 
 class LatestReader(_Cells):
-    """Reads the newest whole value of a record. If the bytes have not changed since the last read, they are only copied
-    and compared, not checked again, which takes a third of the time. A record that was never written contains only
-    zeros."""
+    """Reads the newest whole value of a record. If the bytes are the same as at the previous read, they are not checked
+    again, and the read takes only a third of the time. A record that was never written contains only zeros."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._where = slice(offset, offset + cells * self._size)
         self._seen = 0
         self._raw = b""
-        """The bytes that were copied last. `_known` is the value in them."""
+        """The bytes that the previous read() copied. `_known` is the value that they contain."""
         self._known: Entry | None = None
 
     def read(self) -> Entry | None:
@@ -162,17 +163,18 @@ class LatestReader(_Cells):
 
 
 class _Writer(_Cells):
-    """The only writer of a record. After a writer has died, the next one continues after the newest whole entry. If the
-    death left a half-written cell, that cell is overwritten, and the entry before it stays readable."""
+    """The only writer of a record. If the writing process dies, the process that replaces it continues after the newest
+    whole entry. It overwrites a cell that was only half written, and the entry before that cell stays readable."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._barrier = Barrier()
         self.seq = self._last()
-        """The number of the newest entry, or 0 if there is none."""
+        """The number of the newest entry, or 0 if the record has none."""
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Publish an entry and return its number. Raises PayloadTooLarge, and then nothing has changed."""
+        """Publish an entry and return its number. Raises PayloadTooLarge and publishes nothing if the payload is too
+        large."""
         seq = self.seq + 1
         data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
         at = self._slice(seq).start
@@ -183,15 +185,16 @@ class _Writer(_Cells):
 
 
 class LatestWriter(_Writer):
-    """Publishes values of a record of which only the newest value counts."""
+    """Publishes the values of a Latest record, of which a reader needs only the newest value."""
 
     write = _Writer.put
 
 
 class RingWriter(_Writer):
-    """Appends entries in order, for any number of readers. Entry `n` is in cell `n % cells`. There is no shared head or
-    tail, no lock, and no reader's state in shared memory. A barrier comes before each entry, so a reader that sees an
-    entry also sees everything that its writer stored earlier, for example the earlier entries."""
+    """Appends entries in order, for any number of readers. Entry `n` is in cell `n % cells`. The writer and the readers
+    share no head, no tail and no lock, and no reader stores anything in shared memory. A barrier comes before each
+    entry. So a reader that sees an entry also sees everything that the writer stored earlier, for example all earlier
+    entries."""
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
         """Publish bytes of any length, split into as many entries as needed."""
@@ -202,13 +205,15 @@ class RingWriter(_Writer):
 class RingReader(_Cells):
     """One reader's position in a ring. `lost` counts the entries that were overwritten before this reader read them.
 
-    To read entry n, copy cell n % cells with one slice, and check the copy:
-        its seq is n                       -> this is the entry
-        its seq is below n, or never used  -> entry n is not published yet
-        its seq is above n                 -> the writer has lapped the reader, so continue with the oldest entry that
-                                              can still be whole
-        it is not whole                    -> entry n is being written, or it is damaged. If a later entry is whole, n
-                                              is gone for good, so continue with the oldest such entry
+    To read entry n, the reader copies the cell n % cells with one slice, and checks the copy:
+
+        seq is n                       -> the copy is entry n
+        seq is below n, or never used  -> entry n is not published yet
+        seq is above n                 -> the writer has overwritten entry n, so the reader continues with the oldest
+                                          entry that can still be whole
+        the copy is not whole          -> entry n is being written, or it is damaged. If any later entry is whole,
+                                          entry n is gone for good, so the reader continues with the oldest whole
+                                          entry after entry n
     """
 
     def __init__(
@@ -218,8 +223,8 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of the next cell when it was found blank or holding an older entry. If they have not changed, they
-        need no second check."""
+        """The bytes of the next cell, if they were found blank or with an older entry. While the bytes stay the same,
+        the reader does not check them again."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 
@@ -258,8 +263,8 @@ class RingReader(_Cells):
         self._old = b""
 
     def _check(self, raw: bytes) -> Entry | None:
-        """The entry in a copy of the next cell, or None if it is not whole. A whole entry that belongs in a different
-        cell counts as damage."""
+        """The entry in a copy of the next cell. None if the copy is not whole, or if its entry belongs in a different
+        cell."""
         entry = check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._cells:
             return None
@@ -270,11 +275,11 @@ class RingReader(_Cells):
         self._await(seq)
 
     def _pass_damage(self) -> bool:
-        """Handle a damaged cell. Returns False if the cell may still become the next entry. Returns True if it was
-        skipped, or is worth another look.
+        """Handle a damaged cell. Returns False if the next entry may still be written to the cell, so the reader must
+        wait. Returns True if the reader must look again, because the cell was skipped or may be whole by now.
 
-        Without this, one damaged cell would block the reader for a whole lap, along with the stops that follow it in
-        the ring.
+        If damaged cells were not skipped, one damaged cell would block the reader until the writer has gone once around
+        the ring. Until then the reader would not see the stops in the cells after the damaged one.
         """
         later = [seq for seq in self._whole() if seq > self._next]
         if not later:

@@ -1,10 +1,10 @@
-"""Claims: locks on single bytes of a file (open-file-description record locks), which show which process holds which
-slot.
+"""Claims: locks on single bytes of a file, which show which process holds which slot. They are open-file-description
+record locks.
 
-The kernel drops such a lock when its holder's last descriptor is closed, so a crash leaves no lock behind. If the
-holder forks, the copy has the lock too until it calls exec, and may outlive the holder. The content of the file means
-nothing. Other threads and libraries may open and close the same file without losing the lock, unlike with classic POSIX
-locks.
+When the last descriptor of the lock's holder is closed, the kernel drops the lock. So a crash leaves no lock behind. If
+the holder forks, the child has the lock too until it calls exec, so a child may keep the lock after the holder has
+died. The content of the file means nothing. A classic POSIX lock would be lost as soon as any thread or library of the
+process closed the same file. An open-file-description lock is not lost then.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ _FLOCK = struct.Struct("hhqqi4x")  # l_type, l_whence, l_start, l_len, l_pid on 
 
 
 def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int = -1) -> int:
-    """Open a claim file, or create it with this mode and group if `create` is set, as the service does. Raises OSError,
-    for example place.Untrusted."""
+    """Open a claim file. If `create` is True, create the file with the mode `mode` and the group `gid`, which only the
+    service does. Raises OSError, for example place.Untrusted."""
     fd = place.opened(path, os.O_RDWR | (os.O_CREAT if create else 0))
     if create:
         if gid >= 0:
@@ -30,7 +30,8 @@ def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int 
 
 
 def acquire(fd: int, index: int) -> bool:
-    """Claim the byte `index`. The claim lasts as long as `fd` stays open. Returns False if another holder has it."""
+    """Claim the byte `index`. The claim lasts as long as `fd` stays open. Returns False if another process has already
+    claimed the byte."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
     except (BlockingIOError, PermissionError):
@@ -44,8 +45,8 @@ def release(fd: int, index: int) -> None:
 
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
-    """True if another holder has claimed the byte `index`. `by_writer`: count only holders that may write the file. A
-    read-only descriptor is enough for this check."""
+    """True if the byte `index` is claimed through a descriptor other than `fd`. `by_writer`: count only holders that
+    may write the file. A read-only descriptor is enough for this check."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -1,13 +1,15 @@
 """Robust futexes: the earliest way to learn from the kernel that a process has died.
 
-A robust list names words of shared memory that hold the id of a thread. When the thread dies, the kernel marks these
-words and wakes one waiter for each. Only after that does it free the process's memory, which takes 2 ms for 10 MB or 45
-ms for 500 MB. Every other sign of the death (a pidfd, the end of a pipe, the release of a lock, SIGCHLD) comes after
-the memory is freed. The kernel wakes only one waiter per word, so each word has one watcher. A watcher changes nothing.
-If this early report fails, the late one (lifeline.py) still comes.
+A thread can give the kernel a list of words in shared memory (its robust list). Each word holds the thread's id. When
+the thread dies, the kernel marks the words, and wakes one waiting thread per word. After that the kernel frees the
+process's memory, which takes 2 ms for 10 MB or 45 ms for 500 MB. A pidfd, the end of a pipe, the release of a lock and
+SIGCHLD all report the death only after the memory is freed.
 
-The robust list here is the thread's own and not the C library's. With the C library's list, only the thread that locked
-a mutex may unlock it.
+The kernel wakes only one thread per word, so each watching process has its own word. A watcher never writes to the
+word. If the robust futex does not report a death, the pidfd still does (lifeline.py).
+
+This file gives the kernel a list of its own. It does not use the C library's robust mutexes, because only the thread
+that has locked such a mutex may unlock it.
 
 Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), futex(2).
 """
@@ -29,8 +31,8 @@ from failstop.shm.words import LINE_BYTES
 
 PER_BLOCK = 2
 BLOCKS = 256
-"""The number of blocks. Each start of a process uses one block, which has a line for each watcher. A block is used
-again only after 255 later starts."""
+"""The number of blocks of futexes. Each started process gets one block, which has one line for each watching process. A
+process that starts later gets the same block only after 255 other starts."""
 
 _OWNER_DIED = 1 << 30
 _WAITERS = 1 << 31  # without this bit, the kernel marks the word but wakes nobody
@@ -40,8 +42,8 @@ _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.un
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 NO_DUMP = 1
-"""The limit for the size of core dumps, bytes. No dump fits into 1 byte. 0 would not do, because the kernel ignores it
-if a program collects the dumps (core(5))."""
+"""The size limit for core dumps, bytes. No dump fits into 1 byte. The limit is not 0, because the kernel ignores a
+limit of 0 if a program collects the dumps (core(5))."""
 _LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: first entry, offset from an entry to its word, entry being added
 _POINTER = struct.Struct("<Q")
 
@@ -52,15 +54,16 @@ _libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
 
 
 class Futex:
-    """A futex: the word at the start of a 64-byte line of a file. One thread can hold several futexes at once, in lines
-    that follow each other.
+    """A futex: the word at the start of a 64-byte line of a file. One thread can hold several futexes at once if their
+    lines follow each other.
 
-    Only the kernel uses the mapping, so a truncated file causes no SIGBUS in this process.
+    Only the kernel uses the mapping of the file. So a client that truncates the file can't kill this process by a
+    SIGBUS.
     """
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-        """Map the page that contains the futex and all its lines. The caller must keep the descriptor open while a
-        thread waits. Raises OSError."""
+        """Map the page that contains the futex and all its lines. While a thread waits on the futex, the caller must
+        keep `fd` open. Raises OSError."""
         self._fd = fd
         self._owned = False
         self._offset = offset
@@ -72,9 +75,9 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """From now on use a duplicate of the caller's descriptor, so that the caller may close its own at any time.
-        Call it at most once. Without the duplicate, a thread that is about to hold this futex could write to the next
-        file that gets the closed number. Raises OSError."""
+        """Duplicate the descriptor of the file, and use the duplicate from now on. The caller may then close `fd` at
+        any time. Without the duplicate, the number of the closed `fd` might be given to a different file, and a thread
+        that is about to hold this futex would write to that file. Call this at most once. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 
@@ -85,9 +88,9 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the kernel report the death of the calling thread on this many lines. Keep the returned object as long as
-        the thread lives, or until let_go(), because the kernel uses its memory. Returns None if the kernel can't report
-        deaths. Raises OSError."""
+        """Let the kernel report the death of the calling thread. The report goes to `lines` lines, beginning with this
+        futex. The kernel uses the memory of the returned object, so keep the object until the thread ends or calls
+        let_go(). Returns None if the kernel can't report deaths. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -109,13 +112,13 @@ class Futex:
         return bool(self._value() & _OWNER)
 
     def owner_died(self) -> bool:
-        """True after the thread that held the futex has died and the kernel has reported it."""
+        """True after the thread that held the futex has died and the kernel has marked the futex."""
         return bool(self._value() & _OWNER_DIED)
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Block until the thread that holds the futex has died. Returns False if no thread holds it, if the holder gave
-        it back, or if `wanted` returns False (wake() makes this method ask). Other threads of this process run
-        meanwhile."""
+        """Block until the thread that holds the futex has died. Returns False if no thread holds the futex, if the
+        holder has let go of it, or if `wanted` returns False. `wanted` is called after each wake(). The other threads
+        of this process keep running meanwhile."""
         value = held = self._value()
         while wanted():
             if value != held or not held & _OWNER:
@@ -129,7 +132,7 @@ class Futex:
         return False
 
     def wake(self) -> None:
-        """Make all waiting threads look again."""
+        """Wake all threads that wait for the holder's death, so that each one calls its `wanted` again."""
         _libc.syscall(_FUTEX, ctypes.c_void_p(self._address), _WAKE, ctypes.c_int(1 << 30))
 
     def close(self) -> None:
@@ -140,7 +143,7 @@ class Futex:
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
-"""An empty robust list. Its first entry points to the list itself."""
+"""An empty robust list: its head points to itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
@@ -158,8 +161,8 @@ def leave_no_dump() -> None:
 
 
 def proven() -> bool:
-    """Test whether this kernel reports deaths through robust futexes. A thread holds a futex of its own and ends. Some
-    systems that run Linux programs report nothing (gVisor, qemu's user mode). The test takes 0.2 ms."""
+    """Test whether this kernel reports deaths through robust futexes. The test starts a thread that holds a futex and
+    ends, and takes 0.2 ms. gVisor and qemu's user mode run Linux programs, but report no deaths this way."""
     fd = os.memfd_create("proof")
     word = None
     kept: list[object] = []  # what hold() returned in the thread; None if the kernel refused
@@ -182,7 +185,7 @@ def proven() -> bool:
 
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
-    """Hold the futex and end. This is what the thread of proven() does."""
+    """Hold the futex, then end while still holding it. The test thread of proven() runs this."""
     try:
         kept.append(word.hold())
     except Exception:  # set after any error too, because proven() waits for it

@@ -1,4 +1,5 @@
-"""Heartbeat: what each process reports about itself, in words of its own segment, once per turn of its loop."""
+"""Heartbeat: what each process reports about itself once per turn of its loop. The values are words in the process's
+own segment."""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
 STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
-"""Bits for the rights of a process. EARLY_NEWS: the kernel reports deaths to the process before it frees the dead
-process's memory (futex.proven)."""
+"""Bits for the rights that a process has. EARLY_NEWS: the kernel reports a death before it frees the dead process's
+memory (futex.proven)."""
 
 
 class HeartbeatReader:
-    """Reads the heartbeat of one process, to watch it."""
+    """Reads the heartbeat of a process, so that another process can watch it."""
 
     def __init__(self, segment: Segment) -> None:
         self.ns = segment.word("beat_ns")
@@ -35,8 +36,8 @@ class HeartbeatReader:
 
 
 class Heartbeat:
-    """Writes the heartbeat of a process. Only the segment's own process beats. After it has died, the next one starts
-    with fresh values."""
+    """Writes the heartbeat of a process. Only the process that owns the segment writes it. When a process is restarted,
+    its heartbeat starts with fresh values."""
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
@@ -60,8 +61,8 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The time since the last beat does not count
-        as a silence, because a start may take long."""
+        """Publish the state BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The silence before this beat does
+        not count towards the longest silence, because a start may take long."""
         self.last_ns = now_ns
         self.beat(now_ns)
         self._words.state.set(state)

@@ -1,9 +1,10 @@
-"""Lifelines report the death of a process, so that a loop can wait for it together with everything else.
+"""Lifelines report the death of a process through a descriptor, so a loop can wait for it along with its other
+descriptors.
 
 Each death is reported twice, and one report is enough. The early report comes from a robust futex that the process
-holds (futex.py): a thread waits on it, marks the lifeline as dead and rings a bell. The late report comes from a pidfd.
-The watched process can't prevent it, and it still means the same process if the pid is used again. Neither report shows
-a hang; heartbeats do (heartbeat.py).
+holds (futex.py). A thread waits for it, marks the lifeline as dead and rings a bell. The late report comes from a
+pidfd. The watched process can't prevent the late report. Even if another process gets the same pid, the pidfd still
+means the watched process. Neither report shows that a process hangs; heartbeats show that (heartbeat.py).
 """
 
 from __future__ import annotations
@@ -26,22 +27,22 @@ Stops = Callable[[], None] | None
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
-"""The scheduling policy of a demoted process. It keeps the flag SCHED_RESET_ON_FORK, which failstop's processes have
-(procs/rights.py), because only CAP_SYS_NICE may clear that flag."""
+"""The scheduling policy of a demoted process. failstop's processes have the flag SCHED_RESET_ON_FORK (procs/rights.py).
+The policy keeps this flag, because only a process with CAP_SYS_NICE may clear it."""
 _STACK_BYTES = 128 * 1024
 _QUIET_S = 0.02
 _WAY_S = 30e-6
 
 
 def give_way() -> None:
-    """Sleep for a moment after a stop was written, so that its bytes get out. For a pty, and for a driver that uses a
-    kernel thread, a thread of lower priority carries the bytes, and it may be waiting for this core."""
+    """Sleep for a moment after a stop was written, so that its bytes leave the computer. For a pty and for some
+    drivers, a kernel thread of lower priority sends the bytes, and it may be waiting for this processor core."""
     sleep(_WAY_S)
 
 
 def pid_namespace() -> int:
-    """The pid namespace of this process, or 0 if it is not known. In a different namespace, the same pid means no
-    process or a different one."""
+    """The inode of this process's pid namespace, or 0 if it is not known. In a different namespace, the same pid is
+    another process or no process."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino
     except OSError:
@@ -52,23 +53,25 @@ class Lifeline:
     """Watches one process for death. `fd` becomes readable when the process has died, and stays readable."""
 
     def __init__(self, pid: int = 0) -> None:
-        """`pid`: the process to watch. 0 means a process whose pid is not known here, for example because it runs in a
-        container; then only the early report can come. Raises ProcessLookupError if no such process exists."""
+        """`pid`: the process to watch. It is 0 if the process's pid is not known in this namespace, for example because
+        the process runs in a container. Only the early report can come then. Raises ProcessLookupError if no such
+        process exists."""
         self.pid = pid
         self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
         self.watched = False
         self.early: Futex | None = None
-        """The futex on which a thread waits for the early report, or None if the process is not watched yet."""
+        """The futex on which a thread waits for the early report. None if no thread waits."""
         self.marked = False
         """True once the early report has come."""
 
     def died(self, ready: dict[int, int]) -> bool:
-        """True if this wake-up, or an early report before it, says that the process has died."""
+        """True if the early report of the death has come, or if `fd` is ready. `ready`: the descriptors that have just
+        woken the loop."""
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True once the process has died. It is already true when the death has had no other effect yet. It takes two
-        system calls and never blocks."""
+        """True if the process has died, even if neither report has reached this process yet. Makes two system calls and
+        never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
@@ -78,15 +81,16 @@ class Lifeline:
         return bool(poll.poll(timeout_s * 1000))
 
     def kill(self) -> None:
-        """Send SIGKILL to the process. If its pid has been given to another process, that process is not killed."""
+        """Send SIGKILL to the watched process. A different process that has got the same pid is never killed."""
         with contextlib.suppress(OSError):
             _signal.pidfd_send_signal(self.fd, _SIGKILL)
 
     def demote(self) -> None:
-        """Take real-time priority from every thread of the dying process. Call it when the stop is written.
+        """Take real-time priority from every thread of the dying process. Call this when the stop is written.
 
-        The kernel needs half a millisecond or more to free the process's memory. If it did so at real-time priority,
-        its own workers could not use that core, and one of them may be carrying the stop.
+        The kernel needs half a millisecond or more to free the dying process's memory. If it freed the memory at
+        real-time priority, other kernel threads could not use the same core meanwhile. One of them may be sending the
+        stop's bytes.
         """
         with contextlib.suppress(OSError):
             for thread in os.listdir(f"/proc/{self.pid}/task"):
@@ -102,28 +106,29 @@ class Lifeline:
 
 
 class EarlyNews:
-    """This process's threads that wait for early reports of deaths. `bell` rings after a lifeline was marked as
-    dead."""
+    """The threads of this process that wait for early reports of deaths. `bell` rings after a thread has marked a
+    lifeline as dead."""
 
     def __init__(self, lifelines: Segment) -> None:
-        """The threads will have the scheduling policy and priority that this process has now."""
+        """The threads get the scheduling policy and priority that this process has now."""
         self._lifelines = lifelines
         self._policy = (os.sched_getscheduler(0), os.sched_getparam(0))
         self.bell = EventBell.create()
         _thread.stack_size(_STACK_BYTES)
 
     def watch_block(self, life: Lifeline, block: int, watcher: int, stop: Stops = None, dying: int = 0) -> None:
-        """Watch a process of the service that already holds the block of futexes `block`. `watcher`: the line in it."""
+        """Watch a process of the service that already holds a block of futexes. `block`: the number of the block.
+        `watcher`: which line of the block this process watches. `stop` and `dying`: see watch()."""
         self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop, dying)
 
     def watch(self, life: Lifeline, segment: Segment, line: int = 0, stop: Stops = None, dying: int = 0) -> None:
         """Start a thread that waits until the process that holds the futex line `line` dies. Only one thread is started
-        per lifeline. It ends when the lifeline is closed.
+        for each lifeline. The thread ends when the lifeline is closed.
 
-        `stop`: the thread calls this before the bell rings, and then sleeps for a moment so that the stop's bytes get
-        out. `dying`: the priority of the watched process. If this process has real-time rights, a thread with a `stop`
-        gets a higher priority than that. Otherwise, on a computer with one core, it would have to wait until the kernel
-        has freed the dying process.
+        `stop`: the thread calls this when the process has died. It then sleeps for a moment, so that the stop's bytes
+        leave the computer, and rings the bell. `dying`: the priority of the watched process. If this process has
+        real-time rights, a thread with a `stop` gets a priority above `dying`. With a lower priority, on a computer
+        with one core, the thread would wait until the kernel has freed the dying process's memory.
         """
         if not life.watched:
             life.watched = True

@@ -1,4 +1,5 @@
-"""Segments: shared memory with one writer. A specification says which records are in a segment, and where."""
+"""Segments: pieces of shared memory with one writer each. A SegmentSpec says which records a segment has, and where
+they are."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
 
 HEADER_BYTES = 128
-"""The size of the cell at the start of every segment (messages/segments.py). Never change it, because different
+"""The size of the cell at the start of every segment (messages/segments.py). Never change this size, because different
 versions of failstop recognise each other by this cell."""
 
 
@@ -53,8 +54,9 @@ class SegmentSpec:
 
 
 class Segment:
-    """One segment as this process accesses it. It is mapped if the process owns it or only reads it; client segments
-    are accessed through pread and pwrite."""
+    """A segment as this process reads or writes it. Most segments are mapped into memory. The client slots and the
+    lifelines are not mapped, because another process could truncate their files. They are accessed through pread and
+    pwrite."""
 
     def __init__(self, spec: SegmentSpec, incarnation: int, mapped: mmap.mmap | None = None, fd: int = -1) -> None:
         self.spec = spec
@@ -85,21 +87,24 @@ class Segment:
         return LatestReader(*self._cells(name, "latest"))
 
     def latest_writer(self, name: str) -> LatestWriter:
-        """The writer of a Latest record. Only the segment's declared writer may call this."""
+        """The writer of a Latest record. Only the process that the specification names as the segment's writer may call
+        this."""
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
-        """A reader of a Ring record. It starts with the next entry that is published or, with `from_oldest`, with the
-        oldest entry that the ring still has."""
+        """A reader of a Ring record. It starts with the next entry that is published. If `from_oldest` is True, it
+        starts with the oldest entry that is still in the ring."""
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
-        """The writer of a Ring record. Only the segment's declared writer may call this."""
+        """The writer of a Ring record. Only the process that the specification names as the segment's writer may call
+        this."""
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """A futex line. With `write` this process can hold it; otherwise it can wait for the holder's death. Works only
-        in unmapped segments. Raises OSError."""
+        """The futex in the line `line` of a record of futexes. If `write` is True, a thread of this process can hold
+        the futex. Otherwise a thread can only wait for the holder's death. Works only in unmapped segments. Raises
+        OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -108,8 +113,8 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty a client's own slot, except for the goodbyes. If the gate has not seen a goodbye yet, erasing it would
-        make the client's exit look like a death."""
+        """Empty the slot that belongs to this client, except for the record of its goodbyes. The gate may not have read
+        a goodbye yet. If the goodbye were erased, the gate would take the client's clean exit for a death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 
@@ -118,7 +123,8 @@ class Segment:
         return self._fd
 
     def close(self) -> None:
-        """Close the descriptor of an unmapped segment. A mapping ends when its last word or reader is freed."""
+        """Close the descriptor of an unmapped segment. A mapped segment is unmapped when its last word or reader is
+        freed."""
         fd, self._fd = self._fd, -1
         if isinstance(self.view, FileView):
             self.view.fd = -1  # the number may be reused for another file, which this view must not reach

@@ -1,8 +1,9 @@
-"""Thread state: the kernel's state of the main thread of a process, which is the thread that beats."""
+"""Thread state: what the kernel reports about the main thread of a process. The main thread is the one that writes the
+heartbeat."""
 
 
 def state_of(pid: int) -> str:
-    """The letter for the state of a process's main thread, for example R (runnable) or S (sleeps). Raises OSError."""
+    """The letter for the state of a process's main thread, for example R (runnable) or S (sleeping). Raises OSError."""
     with open(f"/proc/{pid}/task/{pid}/stat", "rb", buffering=0) as file:
         # The process's name, in parentheses, may contain any characters.
         return file.read(512).rpartition(b") ")[2][:1].decode("ascii", "replace")

@@ -1,10 +1,10 @@
-"""Words and barriers. A word is a single aligned u64 value, alone in a 64-byte line, with one writer. A barrier orders
-accesses to words and cells.
+"""Words and barriers. A word is a single aligned u64 value with one writer. It is alone in a 64-byte line. A barrier
+keeps loads and stores of words and cells in order.
 
-Loading or storing a word (through a memoryview cast to 'Q') is a single machine access, so a reader sees either the old
-or the new value and never a mixture. Put values that must be true together in a cell. A reader may see two words change
-in a different order than they were stored, unless both the writer and the reader have a barrier between their two
-accesses.
+A load or store of a word (through a memoryview cast to 'Q') is a single machine access. So a reader sees either the old
+or the new value and never a mixture. If several values must be true together, put them in one cell instead of several
+words. A reader may see two words change in a different order than they were stored. To prevent this, the writer must
+pass a barrier between its two stores, and the reader must pass one between its two loads.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ class Word:
         return self._words[self._index]
 
     def set(self, value: int) -> None:
-        """Store a value. Only the word's declared writer may do this. Raises ValueError outside 0..2**64-1."""
+        """Store a value. Only the process that the layout names as the word's writer may do this. Raises ValueError
+        outside 0..2**64-1."""
         self._words[self._index] = value
 
 
 class Barrier:
-    """A full memory fence. Other threads see this thread's loads and stores from before the barrier before they see
-    those from after it. Each thread needs a barrier of its own. A call takes 0.2 us and no memory.
+    """A full memory fence. For all other threads, this thread's loads and stores before the barrier happen before its
+    loads and stores after the barrier. Each thread needs its own Barrier object. A call takes 0.2 us and no memory.
 
-    It is needed because words and cells are plain loads and stores. AArch64 may reorder them, and x86-64 lets a load
-    pass an earlier store. No library gives Python a fence, so this class makes one from a lock. Releasing a lock is a
-    store-release, acquiring it is a load-acquire, and no load-acquire passes an earlier store-release. So the barrier
-    releases and acquires a lock that it holds. The other order (acquire, then release) would be no barrier: accesses
-    before it could move behind the acquire, and accesses after it could move before the release.
+    A barrier is needed because words and cells are read and written with plain loads and stores. AArch64 may reorder
+    these, and x86-64 lets a load pass an earlier store. No library gives Python a fence, so this class makes one from a
+    lock. Releasing a lock is a store-release, and acquiring it is a load-acquire. No load-acquire passes an earlier
+    store-release. The Barrier object always holds its lock, and a call releases the lock and acquires it again. The
+    other order (acquire, then release) would be no barrier: accesses before it could move behind the acquire, and
+    accesses after it could move before the release.
 
-    model/aarch64 lists the pairs of accesses that need a barrier, with a litmus test for each.
+    The folder model/aarch64 lists the pairs of accesses that need a barrier, with a litmus test for each.
     """
 
     def __init__(self) -> None:
