@@ -1,4 +1,4 @@
-"""The supervisor's part of the black box: it fills its own ring, and starts the saver after a latched stop.
+"""The supervisor's part of the black box: it writes the supervisor's ring, and starts the saver after a latched stop.
 
 The saver (failstop/incidents/saver.py) is a separate process at ordinary priority, in its own session. The supervisor
 never waits for the saver, except at the end of the service, and then for at most FINISH_S.
@@ -23,25 +23,26 @@ from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
-"""How long after a stop the saver is started. Starting it blocks the supervisor until the new process gets a core, and
-that must not use up the gate's lease. So the saver starts before anyone can have enabled motion again, but after the
-stop's repeats at 20 and 100 ms."""
+"""How long after a stop the saver is started. The start blocks the supervisor until the new process gets a processor
+core, and meanwhile the supervisor can't renew the lease for motion. So the saver starts before anyone can have enabled
+motion again. It also starts after the stop's repeats at 20 and 100 ms, so that it does not delay them."""
 COPY_NS = 2_200_000_000
 """How long after a stop the saver copies the rings. Everything that can be learned about a stop is known after 2.0 s
 (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""The longest time that the saver for a dead run waits until the service is ready."""
+"""After a run has died, the next run starts a saver for it. This is the longest time that this saver waits until the
+next run is ready."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
-"""How many stops may wait for a saver. A person must reset each stop before the next one can be latched, so this is
-enough."""
+"""How many stops may wait for a saver. A person must reset each stop before another stop can be latched, so it is very
+unlikely that more stops wait."""
 ON_TIME_NS = START_NS
-"""A saver that is later than this waits until nothing moves, because someone may have enabled motion in the
-meantime."""
+"""If a saver is late by more than this, it is not started while the robot may move. Someone may have enabled motion in
+the meantime, and starting a saver could hold up the driver."""
 GIVE_UP_NS = 30_000_000_000
-"""A stop that has waited this long for a saver is not saved. After this time the rings hold less than half a minute
-from before the stop."""
+"""A stop is not saved if its saver is late by more than this. By then, the rings hold less than half a minute from
+before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
@@ -52,7 +53,7 @@ class BlackBox:
     poll() once per turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
-        """`moves`: returns True while motion is enabled, or if motion was the last thing that was written."""
+        """`moves`: returns True while motion is enabled, and also while the newest frame on the port is motion."""
         self._run, self._moves = run, moves
         self._events = run.events
         self._on = run.settings.on("incidents.save")
@@ -64,19 +65,20 @@ class BlackBox:
         self._silences = [(0, 0)] * len(self._beats)
         """For each process, its longest silence since the last sample, and when that silence was seen, both in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """The savers that are not started yet, as (when to start the saver, its command line)."""
+        """The savers that are not started yet, as (when to start the saver, its options)."""
         self._savers: dict[int, _socket.socket] = {}
-        """The socket to each running saver, by the saver's pid. When the supervisor shuts its side down, the saver
-        copies at once. The saver sends its report on the same socket."""
+        """The socket to each running saver, by the saver's pid. When the supervisor shuts down its side of a socket,
+        the saver stops waiting and copies the rings at once. The saver sends its report on the same socket."""
         self._for_dead_run = 0
-        """The pid of the saver for a dead run, while it waits until this run is ready. 0 if there is none."""
+        """The pid of the saver that saves an earlier, dead run, while the saver waits until the current run is ready. 0
+        if no such saver waits."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
         self._ring.put(box.OWN_BURST_RECORD, now_ns)
 
     def latched(self, stop: Stop, epoch: int) -> None:
-        """Plan to save what led to a stop that was just latched and published, and what followed it."""
+        """Plan to save the moments before and after a stop. `stop`: the stop that was just latched and published."""
         self._sample(monotonic_ns())
         if self._on and len(self._waiting) >= MOST_STOPS_WAITING:
             self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
@@ -85,8 +87,8 @@ class BlackBox:
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
     def poll(self, now_ns: int, *, ready: bool) -> None:
-        """Sample the heartbeats, and start and reap savers. Call it once per turn, at the end, before the supervisor
-        beats."""
+        """Sample the heartbeats, start the savers that are due and reap those that have ended. Call this at the end of
+        each turn, but before the supervisor's own beat."""
         ages = ((now_ns - (beat.get() or now_ns), now_ns) for beat in self._beats)
         self._silences = list(map(max, self._silences, ages))
         if now_ns - self._sampled_ns >= SAMPLE_NS:
@@ -100,7 +102,7 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the saver that is due, unless too many savers run already or its start could hold up a driver."""
+        """Start the next saver, unless too many savers are running or the start could hold up a driver."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
@@ -115,8 +117,9 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """Start the saver for an earlier run that did not end cleanly. Until this run is ready, it copies nothing and
-        uses no processor time. It is started now because starting it later would hold up a driver."""
+        """Start a saver for an earlier run, if that run did not end cleanly. Starting the saver later could hold up a
+        driver, so it is started now. But until the current run is ready, the saver only waits, so it does not slow down
+        the start of the service."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
@@ -124,7 +127,8 @@ class BlackBox:
             os.close(left.popitem()[1])
 
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
-        """Start a saver and return its pid. Returns 0 if the machine has no descriptors or processes left."""
+        """Start a saver and return its pid. `words`: its options. `fds`: the descriptors of the rings that it copies.
+        Returns 0 if the machine has no descriptors or processes left."""
         ends: list[_socket.socket] = []
         try:
             ends += _socket.socketpair()
@@ -143,7 +147,7 @@ class BlackBox:
         return pid
 
     def _hasten(self, pid: int) -> None:
-        """Make the saver with this pid copy now, if it still runs."""
+        """Make the saver with the pid `pid` copy the rings now, if it is still running."""
         with contextlib.suppress(OSError, KeyError):
             self._savers[pid].shutdown(_socket.SHUT_WR)
 
@@ -158,7 +162,8 @@ class BlackBox:
                 self._log_saved(code, told if isinstance(told, dict) else None)
 
     def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Log what a saver has saved, or what went wrong. `told`: the saver's report, or None if it sent none."""
+        """Log what a saver has saved, or what went wrong. `code`: the saver's exit code. `told`: the saver's report, or
+        None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}
@@ -175,7 +180,8 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Save every stop that still waits, at once. Called at the end of the service, after its stops are written."""
+        """Save every stop that still waits for a saver. Called at the end of the service, when its last stop was
+        written."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

@@ -1,8 +1,9 @@
 """The script that starts every process of the service: `python -I -S bootstrap.py PROCESS key=value ...`.
 
-The supervisor runs this script for each of its children, and `failstop run` runs it for the supervisor. Python's site
-module is left out, because it costs a small process more than all of its own imports. So the starting process passes
-its own search path in an environment variable.
+The supervisor runs this script for each of its children, and `failstop run` runs it for the supervisor. The option -S
+leaves out Python's site module. In a small process, the site module would take longer than all other imports together.
+Without it, Python does not find every package, so the starting process passes its own search path in an environment
+variable.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PATH_VARIABLE = "FAILSTOP_PATH"
 
 
 def main(argv: list[str]) -> int:
-    """Run the process that `argv` names until it ends. Returns its exit code."""
+    """Run the process that `argv` names, until the process ends. Returns its exit code."""
     sys.path[:] = os.environ[PATH_VARIABLE].split(os.pathsep)
     words = dict(word.split("=", 1) for word in argv[2:])
     try:
@@ -42,9 +43,9 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """Print the error and end this process at once, as if it had been killed. The traceback looks like Python's, but
-    has no source lines, and it is printed only if stderr can take it. A normal exit of the interpreter would take 5 ms.
-    The other processes would notice the death that much later, and so stop the robot that much later."""
+    """Print the error and end this process at once, as if it had been killed. A normal exit of the interpreter would
+    take 5 ms, and the robot would be stopped 5 ms later. The traceback looks like Python's, but has no source lines. It
+    is printed only if stderr can accept it at once."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

@@ -17,7 +17,7 @@ from failstop.supervisor import starter
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
-"""A process is killed if it has not reported within this time that it runs."""
+"""How long a process may take to start. If it has not reported after this time that it runs, it is killed."""
 LONGEST_WAIT_NS = 2_000_000_000
 
 # The states of a process, as words that people read.
@@ -49,9 +49,9 @@ NEXT = {
     FENCED: {BEATS: FENCED, TERMINATED: DEAD},
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""For each state of a process, the next state after each event. An event without an entry can't happen in that state.
-If it happens anyway, the state stays as it is, and the robot is stopped because of the defect. DOWN has an entry for
-STARTED, because a gate that is down is started again after a minute."""
+"""For each state of a process, the next state after each event. If a state has no entry for an event, the event should
+be impossible in that state. If such an event happens, failstop has a bug: the process keeps its state, and the robot is
+stopped. DOWN has an entry for STARTED, because a gate that is down is started again after a minute."""
 ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
@@ -62,27 +62,28 @@ class Fence(Data):
     noticed_ns: int
     kill_ns: int
     burst_ns: int
-    """When the supervisor wrote the stop on its own descriptor. It does so only if the port owner hangs."""
+    """When the supervisor wrote the stop on its own descriptor, right after the kill. It writes the stop only if the
+    hung process is the port owner."""
     silent_ns: int = 0
     was_starved: bool = False
     """True if the machine did not run the process, so the process itself was not at fault."""
     gone_ns: int = 0
     again_ns: int = 0
-    """When the supervisor wrote the stop again, after the killed process was gone."""
+    """When the supervisor wrote the stop a second time, after the killed port owner was gone."""
 
     def _steps_us(self) -> list[tuple[str, str, float]]:
-        """The steps that have happened, as (name for programs, name for people, time after the hang was noticed in
-        us)."""
+        """The steps that have happened, as (name for programs, name for people, time). The time is counted from the
+        moment when the hang was noticed, in us."""
         words = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
         times_ns = (self.kill_ns, self.burst_ns, self.gone_ns, self.again_ns)
         return [(*step, (at - self.noticed_ns) / 1e3) for step, at in zip(words, times_ns, strict=True) if at]
 
     def story(self, name: str) -> str:
-        """The steps as a sentence for people, with each time in ms after the hang was noticed."""
+        """The steps as a sentence for people. Each time is in ms, counted from the moment when the hang was noticed."""
         return f"{name} was fenced: {', '.join(f'{told} after {us / 1e3:.1f} ms' for _, told, us in self._steps_us())}"
 
     def fields(self) -> dict[str, float]:
-        """The steps as fields for programs, in us after the hang was noticed."""
+        """The steps as fields for programs. Each time is in us, counted from the moment when the hang was noticed."""
         return {"silent_ms": round(self.silent_ns / 1e6, 1), **{f"{step}_us": us for step, _, us in self._steps_us()}}
 
 
@@ -90,39 +91,41 @@ class Child:
     """One process of the process table, with its current state."""
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
-        """`row`: the process's row in the table. `beat`: its heartbeat. `restart`: the timer for its restart. The
-        deadline is at least as long as the lease, because a machine that is too slow for the lease is also too slow for
-        a shorter deadline."""
+        """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
+        `settings`: if the lease in the settings is longer than the deadline in the row, the lease is the deadline. Such
+        a lease means that the machine is too slow for a shorter deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
         self._deadline_ns = max(row.deadline_ns, settings.ns("gate.lease_s"))
         self._deaths: list[int] = []
-        """The times of its recent deaths, which count towards the limit for restarts."""
+        """The times of the process's recent deaths. After too many deaths, the process is not restarted."""
         self.state = WAITING
         self.pid = 0
-        """The pid of the process, or 0 while none exists because it waits or is down."""
+        """The pid of the process. It is 0 while no process exists, because the process waits for a restart or is
+        down."""
         self.block = 0
-        """The index of the block of futexes that the process holds."""
+        """The number of the block of futexes that the process holds."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
         """The timer for the next start of the process."""
         self.fence: Fence | None = None
-        """How the process was killed because it hung, or None if it was not."""
+        """If the process was killed because it hung, the record of the kill. Otherwise None."""
         self.excused_ns = 0
-        """Silence before this time does not count against the process."""
+        """Silence before this time does not count against the process. It is 0 if nothing excuses the process."""
         self._spared_ns = 0
-        """When it last beat before a silence that the machine explains. 0 if there is no such silence at the moment."""
+        """If the process is silent because the machine does not run it, the time of its last beat. Otherwise 0."""
         self.defects: list[Cause] = []
-        """One cause for each impossible event, until the supervisor has stopped the robot for it."""
+        """A cause of a stop for each event that should have been impossible. The supervisor stops the robot for each
+        cause, and removes it from the list."""
         self.times_restarted = 0
         self.last_exit = ""
         self.killed = False
-        """True if the previous process was killed by a signal."""
+        """True if the process has died before, and its newest death was by a signal."""
 
     def on(self, event: str) -> None:
-        """Change to the next state after an event. An event that can't happen in this state is recorded as a defect."""
+        """Change to the state that NEXT names for this event. If NEXT has no entry for the event, record a defect."""
         after = NEXT[self.state].get(event)
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, event, self.state))
@@ -130,7 +133,8 @@ class Child:
         self.state = after
 
     def started(self, life: Lifeline, block: int, now_ns: int) -> None:
-        """Record that the process was just started. `life`: reports its death. `block`: its block of futexes."""
+        """Record that the process was just started. `life`: the lifeline that reports its death. `block`: the number of
+        the block of futexes that it holds."""
         self.life = life
         self.pid = life.pid
         self.block = block
@@ -141,9 +145,11 @@ class Child:
         self.on(STARTED)
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
-        """Record a death and return how long to wait before the restart, ns. After the first death in the time window
-        the process restarts at once. After each later one the wait doubles. Returns None after too many deaths. Then
-        the process stays down and the robot stopped until a reset, so that the process doesn't crash in a loop."""
+        """Record a death and return how long to wait before the restart, ns. Only deaths in the time window
+        restart.window_s count. After the first death the process is restarted at once. After the second death the wait
+        is restart.backoff_s, and each further death doubles it, up to LONGEST_WAIT_NS. After too many deaths, returns
+        None: the process is not restarted and the robot stays stopped until a reset, because otherwise the process
+        could crash again and again."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -156,25 +162,28 @@ class Child:
         self.on(RECALLED)
 
     def running(self) -> bool:
-        """True once the process has reported that it runs, even if the machine does not run it at the moment."""
+        """True if the process has reported that it runs. It also counts as running while the machine gives it no
+        processor time."""
         return self.state in (RUNNING, HUNG)
 
     def heard_ns(self) -> int:
         return max(self.beat.ns.get(), self.started_ns)
 
     def allowed_ns(self) -> int:
-        """How long the process may be silent, ns. It is allowed more time until it has reported that it runs."""
+        """How long the process may be silent, ns. While it starts, it may be silent for longer."""
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
-        """Excuse a silence that the machine explains. The process may be silent for its full time again, counted from
-        `now_ns`. `silent_ns`: the silence that was judged; the process may have beaten since then."""
+        """Excuse a silence, because the machine did not run the process. From `now_ns` on, the process may be silent
+        for its full time again. `silent_ns`: how long it had been silent when the supervisor decided this. It may have
+        beaten since then."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """How long a spared process was silent, ns. Returned once, when the process beats again; otherwise 0."""
+        """If a process whose silence was excused beats again, returns how long it was silent, ns. The silence is
+        returned only once. Otherwise returns 0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
             self._spared_ns = 0
@@ -182,14 +191,15 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """When the process will count as hanging if it doesn't beat before. NEVER if no beat is expected."""
+        """The time at which the process will count as hanging if it does not beat until then. NEVER if no beat is
+        expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
 
     def kill(self, wait_s: float) -> None:
-        """Kill the process, and reap it if it ends within `wait_s`."""
+        """Kill the process, and reap it if it is gone within `wait_s`."""
         if self.life:
             self.life.kill()
             self.life.wait(wait_s)
@@ -198,8 +208,8 @@ class Child:
             self.reap()
 
     def reap(self) -> str:
-        """Reap the dead process and return how it died, in words. Returns an empty text if it can't be reaped yet, for
-        example while a debugger holds it."""
+        """Reap the dead process, and return how it died as text. Returns an empty text if the process can't be reaped
+        yet, for example because a debugger holds it."""
         if (code := starter.reap(self.pid)) is None:
             return ""
         self.killed = code < 0

@@ -55,9 +55,9 @@ def start(words: dict[str, str]) -> int:
 
 
 def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
-    """Create the supervisor of a run, then publish the run's name. The supervisor's heartbeat and process table come
-    first, because clients read both as soon as they find the name. Raises whatever the constructor or publish() raises,
-    and then removes the run."""
+    """Create the supervisor of a run, and then publish the run's name. Clients read the supervisor's heartbeat and
+    process table as soon as they find the name, so both must exist first. If this fails, the run is removed, and the
+    error is raised again."""
     try:
         supervisor = Supervisor(run, port, notify)
         run.publish(kept.pack_stop(port.board))
@@ -85,9 +85,10 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _keep_descriptors(lock: int, port: int) -> int:
-    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. The lock and the port move
-    to small numbers, because select() can't use numbers from 1024 on. Children inherit neither. The lock stays open for
-    the life of this process. Returns the port's new number."""
+    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. The lock and the port get
+    small numbers, because select() can't use a number above 1023. The supervisor's children inherit neither of the two,
+    unless the supervisor passes the port on. The lock stays open as long as this process lives. Returns the new number
+    of the port."""
     with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
             with contextlib.suppress(OSError):  # the descriptor of the listing itself

@@ -1,6 +1,7 @@
 """Events: what the supervisor reports to people (in the journal or on stderr) and to programs (in a ring).
 
-An event is only queued at first. flush() sends it at the end of the turn, when the bytes of a stop have been written.
+Events wait in a queue first, because the bytes of a stop must go out before any text. flush() sends the events at the
+end of the turn.
 """
 
 from __future__ import annotations
@@ -25,36 +26,38 @@ FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
-"""The longest time that events wait until the bytes of a stop are written. If a stop can be written at all, it is
-written within 5 ms."""
+"""How long events wait at most while the bytes of a stop are not written yet. Normally a stop is written within 5 ms.
+If it takes longer, the stop probably can't be written at all, and people must learn about it."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""How long an event's text may be; the same limits as packing.NOTE_CUTS."""
+"""How many bytes of an event's text, and of each of its fields, are kept. If the event is too long with the first pair
+of lengths, the second pair is used, and then the third."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""Kinds of events that anyone can cause again and again. The kind "stop" is not one of them, because after a reset it
-can happen only once."""
+"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not among them. A
+stop is latched only once, and then a person must reset it before another stop can be latched."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""How many bytes each kind and level may log per minute. A dozen stops per second need half of it."""
+"""How many bytes the events of one kind and level may take in the log per minute. A latched stop takes about 500 bytes,
+so about 130 of them fit."""
 REPEATS_BYTES = 8192
-"""How many bytes per minute may be logged for requests that repeat a latched stop. Anyone can make such requests
-without end, and they change nothing."""
+"""How many bytes per minute the log may take for requests to stop a robot that is already stopped. Any user can send
+such requests without end, and they change nothing."""
 LEAST_COLUMNS = 40
 """Text is not folded if the terminal has fewer columns than this, because the indent would leave too little room."""
 PREFIX = "failstop: "
 """The first word of the service's log lines and of the commands' error messages."""
 JOINED = "\0"
-"""Stands for a space at which a line must not be broken."""
+"""This character takes the place of a space at which the line must not be broken."""
 AFTER_UNIT = ".,;:!?)]'\""
-"""Punctuation that may follow a number's unit."""
+"""Punctuation marks that may directly follow the unit of a number."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
-    """Break the text into lines of at most `width` columns. All lines but the first are indented. A command in
-    backquotes stays on one line if it fits, and so does a number with its unit. A single word that is longer than a
-    line is not broken."""
+    """Break the text into lines of at most `width` columns. All lines except the first one are indented by `indent`
+    columns. If possible, a command in backquotes stays on one line, and a number stays on one line with its unit. A
+    single word that is longer than a line is not broken."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
@@ -89,7 +92,7 @@ def _words(text: str, room: int) -> list[str]:
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it should be written to the descriptor `fd`: folded if it is a terminal."""
+    """The text, ready to be written to the descriptor `fd`. It is folded if `fd` is a terminal."""
     try:
         return fold(text, os.get_terminal_size(fd).columns, indent)
     except (OSError, ValueError):
@@ -97,8 +100,9 @@ def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
 
 
 def say(text: str) -> None:
-    """Write one message to stderr, folded if stderr is a terminal. The message is dropped if stderr can't be written or
-    is blocked (a full pipe, a terminal paused by Ctrl-S), because that is no reason to stop working."""
+    """Write one message to stderr, folded if stderr is a terminal. The message is dropped if it can't be written at
+    once, for example because the pipe is full or the terminal is paused by Ctrl-S. The service must never wait for its
+    log."""
     try:
         if select.select((), (STDERR,), (), 0)[1]:
             os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
@@ -107,8 +111,8 @@ def say(text: str) -> None:
 
 
 class Events:
-    """Sends the service's events. They go to the ring and to the journal, or to stderr if there is no journal. No other
-    part of the service sends events."""
+    """Sends the service's events to the ring and to the journal. If there is no journal, the events go to stderr. No
+    other part of the service sends events."""
 
     def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
         """`name`: the name of the instance."""
@@ -117,17 +121,20 @@ class Events:
         self._journal = journal
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
-        """When the current minute began. Each sort of event has an allowance of bytes per minute."""
+        """When the current minute began. Per minute, the events of one kind and level may take only a limited number of
+        bytes in the log."""
         self._spent: Counter[FloodSort] = Counter()
-        """How many bytes of each sort were logged in this minute."""
+        """How many bytes the events of each sort have taken in the log in the current minute. A sort is (kind, level,
+        True if any user can cause the event again and again)."""
         self._left_out: Counter[FloodSort] = Counter()
-        """How many events of each sort were dropped and are not reported yet."""
+        """How many events of each sort were dropped since dropped events were last reported."""
 
     def log(
         self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""
     ) -> None:
-        """Queue an event. `kind`: a kind from kinds.py; an unknown kind becomes a note. `level`: replaces the kind's
-        own level if given. `step`: what the reader can do next. Fields whose value is None are left out."""
+        """Queue an event. `kind`: a kind from kinds.py; an unknown kind becomes a note. `level`: if given, the event
+        has this level instead of the usual level of its kind. `step`: what the reader can do next. A field whose value
+        is None is left out."""
         known = EVENT_BY_NAME.get(kind) or EVENT_BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
@@ -141,9 +148,12 @@ class Events:
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
-        """Send the queued events. `hold`: True while the bytes of a stop are not written; then events are sent only if
-        they have waited for LONGEST_HOLD_NS. `now_ns`: 0 at the end of the service. Dropped events are counted, and the
-        counts are logged when the minute is over or at the end of the service."""
+        """Send the queued events. `hold`: True while the bytes of a stop are not written yet. The events are then sent
+        only if they have already waited for LONGEST_HOLD_NS. `now_ns`: the time now; 0 at the end of the service.
+
+        If the log was flooded, some events were dropped. The number of dropped events is logged when the minute is
+        over, or at the end of the service.
+        """
         over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
@@ -160,7 +170,8 @@ class Events:
     def _send(
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
     ) -> None:
-        """Send one event to the ring and the journal, unless its sort has used up its allowance for this minute."""
+        """Send one event to the ring and the journal. The event is dropped if events of its sort have already taken all
+        their bytes for this minute."""
         text = f"{what}{NEXT_STEP}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
@@ -174,8 +185,8 @@ class Events:
             say(text)
 
     def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
-        """True while this sort of event may still be logged in this minute. Once its allowance is used up, nothing more
-        of the sort is logged until the next minute, so a flood becomes a few lines and a count."""
+        """Count `size` bytes for this sort of event. Returns False if the sort has used up its bytes for this minute.
+        The event must then be dropped, so a flood becomes a few lines and a count."""
         if t_ns - self._minute_ns >= MINUTE_NS:
             self._minute_ns, self._spent = t_ns, Counter()
         self._spent[sort] += size
@@ -190,15 +201,15 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for events that anyone can cause again and again, which might flood the log."""
+    """True for an event that any user can cause again and again, and so flood the log."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. `what`: how many characters of the text come before the next step; 0 if
-    the text names no next step."""
+    """One event for the ring, as a msgpack map. The text may end with what the reader can do next. `what`: how many
+    characters come before that part of the text; 0 if the text has no such part."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
@@ -218,9 +229,9 @@ def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields
 
 
 def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
-    """Encode the fields as a journal datagram. Each field is `NAME=value` and a line break. If the value itself
-    contains a line break, the field is its name, a line break, the value's length as a little-endian u64, the value,
-    and a line break."""
+    """Encode the fields as a datagram for the journal. A field is usually its name, `=`, its value and a line break. If
+    the value contains a line break, the field is its name, a line break, the value's length as a little-endian u64, the
+    value, and a line break."""
     parts = []
     for name, value in fields:
         data = str(value).encode("utf-8", "replace")
@@ -232,8 +243,9 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 
 def is_journal(stream: str) -> bool:
-    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM, which is DEVICE:INODE
-    of the stderr that systemd opened. If stderr was redirected since then, its device or inode differs."""
+    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM. There systemd reports
+    the device and the inode of the stderr that it has opened, as DEVICE:INODE. If stderr was redirected later, its
+    device or inode is different."""
     try:
         found = os.fstat(STDERR)
     except OSError:

@@ -12,8 +12,8 @@ from failstop.policy.settings import Settings
 
 
 def checked_board(settings: Settings, path: str | None) -> Board:
-    """The board named in the settings. `path`: the settings file, for error messages. Raises SettingError if the board
-    can't do what the settings ask, or OwnBoardError."""
+    """The board that the settings name. `path`: the settings file, for error messages. Raises SettingError if the board
+    can't do what the settings ask of it. Raises OwnBoardError if your own board's description has an error."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
     if 0 < (baud := int(settings["board.baud"])) < (usual := usual_baud(kind)):
         text = (
@@ -40,6 +40,6 @@ def usual_baud(kind: str) -> int:
 
 
 def slowest_mps(settings: Settings) -> float:
-    """The slowest speed that can be commanded at a wheel's rim, m/s. The board rounds slower speeds to zero. Returns 0
-    if the board accepts any speed."""
+    """The slowest speed that the board can give a wheel, in m/s at the wheel's rim. The board rounds a slower speed to
+    zero. Returns 0 if the board accepts any speed."""
     return board_of(*settings.board()).step_rps * pi * settings["wheels.diameter_m"]

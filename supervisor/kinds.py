@@ -1,7 +1,8 @@
-"""The table of event kinds: the level of each kind, its MESSAGE_ID, and the fields that every event of the kind has.
+"""The table of event kinds. Each row has the kind's level, its MESSAGE_ID, and the fields that every event of the kind
+has.
 
-The texts of the journal's message catalog are in lab/failstop_lab/pages/catalog_texts.py. A MESSAGE_ID never changes
-its meaning.
+systemd's journal finds the explanation of an event by its MESSAGE_ID, so the MESSAGE_ID of a kind never changes. The
+explanations are in lab/failstop_lab/pages/catalog_texts.py.
 """
 
 from __future__ import annotations

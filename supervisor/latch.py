@@ -1,8 +1,9 @@
-"""The latch and the epochs. The latched stop is the first one since the last reset, and people see its cause.
+"""The latch and the epochs. The first stop after a reset is latched: it stays in force, and its cause is shown, until a
+person resets it. Each stop also raises the epoch, which is a counter.
 
 Only the supervisor raises the epoch, latches stops and resets. Every other process reads what the supervisor publishes.
-A process that sees a new epoch also finds the cause of that epoch, and finds that the service is not ready. This is
-true even if the process looks before its bell rings.
+The epoch is published last. So a process that sees a new epoch also sees the cause of the stop, and sees that the
+service is not ready. The process does not need to wait until its bell rings.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from failstop.supervisor.stops import Stop
 
 
 class Latch:
-    """The latched stop and its epoch, and the newest stop, which may or may not be latched. Pure."""
+    """The latched stop and its epoch. Also the newest stop, which may have come while an earlier stop was latched.
+    Pure."""
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
@@ -30,7 +32,7 @@ class Latch:
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:
-        """Add stops that came together. `epoch`: the new epoch that is being raised for them."""
+        """Add stops that came at the same time. `epoch`: the new epoch that the supervisor raises for these stops."""
         self.newest = min(stops, key=lambda stop: stop.t_ns)
         self._raised_ns = now_ns
         if self.stop is None:
@@ -39,8 +41,8 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear the latch, unless a stop has come since the reset was requested at `asked_ns`. A reset changes nothing
-        else."""
+        """Clear the latch. If a stop has come after the person requested the reset at `asked_ns`, refuse the reset
+        instead, because the person did not know about that stop. A reset does not enable motion."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
@@ -50,22 +52,23 @@ class Latch:
         return Reply(True, f"latched stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def as_record(self) -> bytes:
-        """The latch as the shared record. Call it only after the first stop of a run."""
+        """The latch as bytes for the record in shared memory. Call this only after the first stop of a run."""
         told = self.stop or self.newest
         assert told is not None
         return records.LATCH.pack(self.since, told.t_ns, self._raised_ns, told.cause.pack())
 
 
 class Epochs:
-    """The words and records in shared memory that publish the epoch, the latch and the answers to resets."""
+    """The words and records in shared memory through which the supervisor publishes the epoch, the latch and the
+    replies to reset requests."""
 
     def __init__(self, run: Run) -> None:
         own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """Since when a stop is owed, which means that neither the port owner has answered it nor the supervisor has
-        written it. 0 if no stop is owed."""
+        """Since when a stop is owed; 0 if no stop is owed. A stop is owed until the port owner answers it or the
+        supervisor writes it."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
@@ -78,7 +81,8 @@ class Epochs:
         self._barrier = Barrier()
 
     def raise_for(self, stops: list[Stop], now_ns: int) -> None:
-        """Raise the epoch for these stops. Publish their cause first, then the new epoch, and ring the bells last."""
+        """Raise the epoch for these stops. This publishes the cause first and the new epoch second, and then it rings
+        the bells."""
         self.number += 1
         self.latch.add(stops, self.number, now_ns)
         self._latch_record.write(self.latch.as_record())
@@ -90,11 +94,12 @@ class Epochs:
         self.owed_ns = self.owed_ns or now_ns
 
     def answered(self) -> bool:
-        """True if the port owner has answered the current epoch with a stop."""
+        """True if the port owner has written a stop for the current epoch."""
         return self._stopped_word.get() >= self.number
 
     def decide_reset(self) -> bool:
-        """Decide a reset that the gate has passed on, and publish the answer. Returns True if the reset was granted."""
+        """If the gate has passed on a new reset request, grant or refuse the reset and publish the reply. Returns True
+        if the reset was granted."""
         number = self._asked_word.get()
         if number == self._decided_word.get():
             return False

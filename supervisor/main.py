@@ -1,8 +1,12 @@
-"""The supervisor's loop. It answers the deaths of processes first, then the causes that other processes noticed, and
-then starts and watches processes. Only the supervisor raises the epoch.
+"""The supervisor's loop. Deaths of processes come first. Then come the causes of stops that other processes have
+noticed. After that, the supervisor starts and watches processes. Only the supervisor raises the epoch, a counter of
+stops.
 
-Each wake-up runs in this order: (1) if the port owner has died, write the stop burst; (2) raise the epoch and ring the
-bells, so that every process that can write a stop writes one; (3) log and publish what happened.
+Each turn of the loop runs in this order:
+
+1. If the port owner has died, write the stop burst.
+2. Raise the epoch and ring the bells, so that every process that can write a stop writes one.
+3. Log and publish what has happened.
 """
 
 from __future__ import annotations
@@ -36,31 +40,33 @@ from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""The time between two beats of the supervisor. It is a third of the lease, and one beat allows motion for one
-lease."""
+"""The time between two beats of the supervisor, a third of the lease. Each beat renews the lease: it allows motion
+until the lease has passed."""
 AT_REST_NS = 2 * TICK_NS
-"""The time between two beats while the gate reports that nothing can move. Then no process checks the lease, so beats
-may come less often."""
+"""The time between two beats of the supervisor while nothing can move. No process checks the lease then, so a longer
+time is enough, and it saves processor time."""
 BEATS_ALONE = 2
-"""If nothing has happened, the supervisor only sends its heartbeat for this many ticks, and then looks at everything
-again. Anything that happens rings a bell, which wakes it earlier."""
+"""While nothing happens, the supervisor only sends its heartbeat for this many ticks, and in the following tick it
+checks everything. Anything that happens rings a bell, so the supervisor then wakes up earlier."""
 STOP_ANSWER_NS = 5_000_000
-"""How long the port owner may take to answer a raised epoch. After that, the supervisor writes the burst itself."""
+"""How long the port owner may take to answer a new epoch with a stop. After this time, the supervisor writes the burst
+itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""If the supervisor itself was silent for this long, it does not judge any other process by its silence. The value is
-two ticks less than the shortest deadline of a process."""
+"""If the supervisor was silent for this long, it could not see the beats of the other processes in time. So it does not
+count that silence against them. The value is two ticks less than the shortest deadline of a process."""
 CLIENT_SILENT_NS = 150_000_000
-"""A process that beats ten times per second was held up by the machine if it was silent for this long."""
+"""A healthy process beats at least ten times per second. If it was silent for this long, the machine has held it up."""
 HEAR_NS = 300_000_000
-"""How long the end of the service waits for the board's answer to its stop. The next ping may be sent up to 50 ms later
-(schedule.py)."""
+"""At the end of the service, the supervisor writes a stop and waits this long for the board's answer. The ping that the
+board answers may be sent up to 50 ms after the stop (schedule.py)."""
 END_S = 2.0
-"""How long the end of the service waits for each process that it has killed. The last burst is written after that."""
+"""At the end of the service, the supervisor kills every process and waits at most this long for each of them to be
+gone. Then it writes the last burst."""
 
 
 class Supervisor:
-    """The supervisor. Call turn() once per wake-up, then rest() to sleep until the next one."""
+    """The supervisor. Call turn() each time it wakes up, and then rest(), which sleeps until it must wake up again."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
@@ -85,18 +91,19 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """When the supervisor must act next: when the port owner's time to answer is over, or when the first process
-        counts as hanging unless it beats."""
+        """The timer for the next time limit. One time limit is when the port owner must have answered a stop. The
+        others are when a process counts as hanging because it has not beaten."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
-        """True if the supervisor can't go on. The service then ends as soon as its last stop has been answered."""
+        """True if the service can't go on. It then ends as soon as the last stop has been answered."""
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
-        """Handle SIGTERM and SIGINT: end the service at the next turn. The bell makes that turn come at once."""
+        """Handle SIGTERM and SIGINT: the service ends as soon as the loop wakes up. This rings the bell, so that the
+        loop wakes up at once."""
         self.ending = True
         self._run.bells[layout.SUPERVISOR].ring()
 
@@ -127,7 +134,7 @@ class Supervisor:
         self._due.set(min([*late_ns, *(child.overdue_ns() for child in self.children)]))
 
     def rest(self) -> dict[int, int]:
-        """Sleep until something happens or a timer is due. Returns the ready descriptors."""
+        """Sleep until something happens or a timer is due. Returns the descriptors that are ready."""
         for _ in range(BEATS_ALONE):
             ready = self.loop.wait(self._tick_ns())
             now_ns = monotonic_ns()
@@ -142,8 +149,8 @@ class Supervisor:
         return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
-        """Answer deaths, and causes that other processes noticed. Write the burst if no other process can, raise the
-        epoch, and do everything else later."""
+        """Stop the robot if a process has died, or if another process has noticed a cause for a stop. If the port owner
+        has died, write the burst first. Then raise the epoch. Everything else can wait until later in the turn."""
         gap_ns = now_ns - self._turned_ns
         # True if a signal suspended this process since the last turn: SIGCONT has continued it, and is blocked
         # (entry.py).
@@ -158,7 +165,8 @@ class Supervisor:
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
-        """Write the burst on the supervisor's own descriptor. Returns when it was written, or 0 if it could not be."""
+        """Write the burst on the supervisor's own descriptor. Returns when it was written, or 0 if it could not be
+        written."""
         written, now_ns = self._port.burst(), monotonic_ns()
         self._repeats.restart(now_ns)
         return self._wrote(now_ns) if written else 0
@@ -171,8 +179,8 @@ class Supervisor:
         return written_ns
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """React if the port was lost, or if a lost port is open again. The opener has already written the burst to a
-        port that is open again, if it could."""
+        """Handle the loss of the port, and its return. When the port returns, the thread that opens it also writes the
+        burst. If the thread could not write the burst, this method writes it."""
         stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
             self.tracker.link.opened(now_ns, sure=sure)
@@ -188,8 +196,8 @@ class Supervisor:
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """While no port owner has the port, repeat the last stop on the supervisor's own descriptor, and then keep
-        sending zeros."""
+        """If no running port owner has the port open, repeat the newest stop on the supervisor's own descriptor. After
+        the repeats, keep sending zeros."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         self._repeats.wait(self._port.free_ns)
         if served:
@@ -198,10 +206,10 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """Check whether the machine has held up the supervisor itself, so that nobody watched the other processes.
-        Returns a stop for it if motion was enabled, otherwise an empty list. No process is killed for a silence that
-        the supervisor did not observe. `suspended_ns`: how long a signal suspended the supervisor since its last turn,
-        or 0."""
+        """Check whether the machine has held up the supervisor itself, so that the other processes were not watched. If
+        it has, and motion was enabled, the list has one stop. Otherwise the list is empty. The supervisor did not see
+        the other processes' beats during that time, so no process is killed for a silence. `suspended_ns`: how long a
+        signal suspended the supervisor since its previous turn; 0 if none did."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -219,28 +227,29 @@ class Supervisor:
         return []
 
     def _check_names(self, now_ns: int) -> None:
-        """Stop the robot and end the service if other processes can't find one of the service's names any more."""
+        """Stop the robot and end the service if someone has removed a name by which other processes find the service's
+        shared memory or pipes."""
         if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self) -> bool:
-        """True while pings are written and their answers are decoded. Otherwise an unanswered ping does not prove that
-        the board is deaf."""
+        """True while the port owner can write pings and telemetry can decode the answers. Otherwise, an unanswered ping
+        does not prove that the board is deaf."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         return self._port.fd >= 0 and asks.state == hears.state == RUNNING
 
     def _is_held_up(self, now_ns: int) -> bool:
-        """True if the machine holds up the port owner, telemetry or this process, so the board's answers are read
-        late."""
+        """True if the machine holds up the port owner, telemetry or the supervisor, so that the board's answers are
+        read late."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """All stops that are needed after this wake-up, for causes that other processes noticed and for deaths.
-        `burst_ns`: when the burst for the port owner's death was written, or 0."""
+        """The stops for all causes that other processes have noticed, and for all processes in `dead`. `burst_ns`: when
+        the supervisor wrote the burst for the port owner's death; 0 if it did not."""
         stops = []
         for process, ring in self._stops.items():
             while entry := ring.next():
@@ -254,8 +263,8 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """Raise the epoch for stops that came together, and give the port owner a moment to answer it. Does nothing if
-        there are no stops."""
+        """Raise the epoch for stops that came at the same time. The port owner then has STOP_ANSWER_NS to answer. Does
+        nothing if `stops` is empty."""
         if not stops:
             return
         self.epochs.raise_for(stops, monotonic_ns())
@@ -273,8 +282,8 @@ class Supervisor:
         self._run.bells[layout.TELEMETRY].ring()  # so that it reads the board's answer
 
     def _record_answer(self, now_ns: int) -> None:
-        """Record that the port owner has answered a raised epoch with a stop. If it has not answered in time, write the
-        burst here."""
+        """Check whether the port owner has answered the new epoch with a stop, and record the answer. If the port owner
+        is dead or late, the supervisor writes the burst itself."""
         stop = self._unanswered
         if stop is None:
             return
@@ -292,9 +301,12 @@ class Supervisor:
         self.tracker.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
-        """True while motion is enabled in this epoch, or if the port owner has written motion and no whole burst since.
-        If you compare the result with another value, read the other value first, because the port owner publishes that
-        it moves before it checks the epoch for the last time."""
+        """True if motion is enabled in the current epoch, or if the port owner has written motion and no complete burst
+        after it.
+
+        If you compare the result with another value, read the other value before you call this. The port owner first
+        publishes that it moves and then checks the epoch for the last time, so in this order no motion is missed.
+        """
         self._barrier()
         if self._moving_word.get():
             return True
@@ -303,8 +315,7 @@ class Supervisor:
         return bool(gate.get("enabled")) and gate["epoch"] == self.epochs.number
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """Act on each process that has missed its deadline. A timer wakes the supervisor at the deadline, so this does
-        not wait for the next tick."""
+        """Handle each process that has missed its deadline. A timer wakes the supervisor exactly at the deadline."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
                 is_starved = starved.look(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
@@ -313,16 +324,16 @@ class Supervisor:
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """Stop the robot because a process is silent, whatever the reason for the silence. Kill the process only if it
-        hangs. A starved process (one that the machine does not run) continues by itself, and a new process on the same
-        machine would be starved too. If a starved process is silent while motion is disabled, there is nothing to stop.
+        """Stop the robot because a process is silent. Kill the process if it hangs, but not if the machine merely does
+        not run it (it is starved). A starved process continues by itself, and a new process on the same machine would
+        be starved too. If a process is starved while motion is disabled, the wheels are stopped already.
 
-            motion    starved: port owner    starved: another             hangs
-            enabled   stopped, killed        stopped, latched             stopped, killed, latched
-            disabled  logged                 logged                       stopped, killed, latched
+            motion    starved port owner          other starved process       hanging process
+            enabled   stopped, latched, killed    stopped, latched            stopped, latched, killed
+            disabled  logged                      logged                      stopped, latched, killed
 
-        A process that was starved for longer than starved.LONGEST_NS is killed too, but that death does not count
-        towards a crash loop. After a kill, the answer to the process's death does the rest.
+        A process that was starved for longer than starved.LONGEST_NS is killed too. But such a death does not count
+        towards the limit for restarts. After a kill, the supervisor notices the death and restarts the process.
         """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
@@ -343,7 +354,7 @@ class Supervisor:
         child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish which part of the service motion still waits for, and notify the service manager."""
+        """Publish why motion can't be enabled yet, and notify the service manager."""
         link = self.tracker.link
         missing = self.status.missing(stopping=self._unanswered is not None)
         missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.tracker.wheel_servos.waited_for()
@@ -357,9 +368,12 @@ class Supervisor:
         self.status.notify_manager(now_ns, missing, self.epochs.owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
-        """End the service: stop through the port owner, wait for the board's answer, end every process, and stop again
-        on the supervisor's own descriptor. Returns False if the second stop was not sent, or if the board did not
-        answer the first one although it had answered before."""
+        """End the service. The port owner writes a first stop, and the supervisor waits for the board's answer. Then it
+        kills every process, and writes a second stop on its own descriptor.
+
+        Returns False if the second stop was not sent. Also returns False if the board did not answer the first stop,
+        except if the board has never answered or has no pings.
+        """
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
         while self._unanswered:
@@ -386,9 +400,12 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board acknowledges the stop that was written at `stop_ns` (0 if none was written). Returns how
-        long the acknowledgement took, ns. Returns 0 if none came within HEAR_NS or, for a board without pings, within
-        twice its echo time. The port owner, which sends pings, and telemetry, which reads answers, must still run."""
+        """Wait until the board acknowledges the stop that was written at `stop_ns` (0 if no stop was written). The port
+        owner must still run to send pings, and telemetry must still run to read the answers.
+
+        Returns how long the acknowledgement took, ns, or 0 if the board did not acknowledge the stop in time. The time
+        limit is HEAR_NS, or twice the echo time for a board without pings.
+        """
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):

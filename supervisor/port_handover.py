@@ -1,10 +1,11 @@
 """The supervisor's side of the port: its own descriptor, a thread that opens a lost port again, and the handover of the
 port to the port owner, the stopper and telemetry.
 
-With its own descriptor the supervisor writes the first stop of a run, and any stop that the port owner can't write. The
-supervisor and the other three processes all hold the same port, or none of them holds one. Only the supervisor opens a
-port and gives it a number. The other three inherit its descriptor or receive it. All four close it at once when the
-port is gone.
+On its own descriptor the supervisor writes the first stop of a run, and any stop that the port owner can't write.
+
+Only the supervisor opens a port. It gives each port that it opens a number. The port owner, the stopper and telemetry
+inherit the supervisor's descriptor when they start, or receive it later. When the port is gone, all four processes
+close it at once, so they never use different ports.
 """
 
 from __future__ import annotations
@@ -31,36 +32,38 @@ if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and n
     from failstop.supervisor.run import Run
 
 LOOK_NS = 5_000_000
-"""How often to look for a lost port."""
+"""How often the thread tries to open a lost port."""
 WATCH_S = 1.0
-"""How often to list the devices next to the board, s. If the board is lost later, none of the listed devices can be
-it."""
+"""How often to list the other devices on this computer while the board is connected, s. If the board is lost later,
+none of the listed devices can be the board."""
 DOUBT_S = 0.05
-"""How often to look for the board while the open device may be a different one, s."""
+"""How often to look for the real board while the open device may be a different one, s."""
 SHARE_NS = 100_000_000
-"""How often to send the port to a process that could not receive it."""
+"""How often the supervisor sends the port's descriptor again to a process that could not receive it."""
 BUSY_S = 1.0
-"""How long to wait for a port that processes of a dead run are still closing, s."""
+"""If processes of a dead run still have the port open, how long to wait until they have closed it, s."""
 UDEV_S = 2.0
-"""How long udev may take at boot until users may access an existing device, s."""
+"""At boot, the device file may exist before udev lets users open it. This is how long to wait for udev, s."""
 
 
 class OwnPort(StopPort):
-    """The supervisor's own descriptor of the port; -1 while the port is gone."""
+    """The supervisor's own descriptor of the port, `fd`. It is -1 while the port is gone."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: the ids of the servos of the robot's arm, which is stopped with the wheels. They are not known yet
-        at the first burst of a run."""
+        """`servos`: the ids of the servos in the robot's arm, which is stopped along with the wheels. The ids are not
+        known yet when the first burst of a run is written."""
         super().__init__(fd, board, servos)
         self.stopped = False
-        """True if the kernel has accepted the whole first burst of the run."""
+        """True if the kernel has accepted the complete first burst of the run."""
         self.number = 1
-        """Counts the ports of this run. The number identifies the port among the processes that share it."""
+        """The number of the current port. Each time the port is opened again, the number grows by one, so processes can
+        tell an old port from the current one."""
 
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
-        """Open the board's port and write the burst, which is the first thing that a run writes. While another process
-        holds the port, `held` is called again and again; it may raise. Raises port.PortError."""
+        """Open the board's port and write the burst, which is the first thing that a run writes. If another process
+        holds the port, this tries again for a short time, and calls `held` before each new try. An error that `held`
+        raises ends the attempt. Raises port.PortError."""
         start_s = monotonic()
         while True:
             # Decide this before opening: otherwise udev could grant access between the refusal and this check.
@@ -94,16 +97,17 @@ def _is_new(path: str) -> bool:
 class Opener:
     """A thread of the supervisor that opens a lost port as soon as it is back, and writes the burst to it.
 
-    It is a thread because opening a board that is slow to wake up may take seconds, and the supervisor's loop must not
-    wait. For the same reason the thread writes the burst itself. After begin(), only the thread may use `finder`,
-    except for `at`, `sure` and `settled`.
+    A board that is slow to wake up may need seconds until its port is open, and the supervisor's loop must not wait for
+    it. The thread writes the burst itself, so the burst does not wait for the loop. After begin(), only the thread may
+    use `finder`; the loop may read only its `at`, `sure` and `settled`.
 
-    While the port is open, the thread lists the devices. The open device may have been taken for the board only because
-    no better one was found. If the real board then appears, the thread sets `misplaced` and rings the bell.
+    After a loss, the thread may open a device that is not the board, because it found no better one. So while a port is
+    open, the thread keeps looking for the real board. If the board appears, the thread sets `misplaced` and rings the
+    bell.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
-        """`bell`: rings when the thread has opened the port, and when it has set `misplaced`."""
+        """`bell`: the bell that the thread rings when it has opened the port, and when it has set `misplaced`."""
         self._board = board
         self.finder = finder
         self._bell = bell
@@ -112,13 +116,14 @@ class Opener:
         self._found: tuple[int, int] | None = None
         self.misplaced = False
         self.believed = False
-        """True if the open device has answered as the board does. The loop sets this and the thread reads it."""
+        """True if the open device has answered as the board does. The supervisor's loop sets this, and the thread reads
+        it."""
         self._spare = -1
         self._reserve()
 
     def begin(self) -> None:
-        """Start the thread, which then lives as long as the process. After a loss of the port it may be too late to
-        start one, for example because memory is short."""
+        """Start the thread, which then runs as long as the process. It is started before the port is lost, because
+        memory may be short afterwards, and then no thread can be started."""
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
@@ -126,14 +131,14 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """Return the port that the thread has opened, once: (its descriptor, when the burst was written to it or 0 if
-        it could not be). None if there is no new port."""
+        """If the thread has opened a port, returns (its descriptor, when the burst was written). The time is 0 if the
+        burst could not be written. Each port is returned once. Returns None if there is no new port."""
         found, self._found = self._found, None
         return found
 
     def attempt(self) -> bool:
-        """Look for the port once. Returns True if it was opened. A descriptor number is kept in reserve for the port,
-        because all others may be in use by then."""
+        """Try to open the port once. Returns True if the port was opened. One descriptor number is kept free for this,
+        because this process may have used up all other numbers."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False
@@ -174,7 +179,8 @@ class Opener:
 
 
 class PortHandover:
-    """The supervisor's side of the handover. `controls`: the supervisor's end of the control socket to each process."""
+    """Hands the port to the port owner, the stopper and telemetry. `controls`: for each process, the supervisor's end
+    of the socket to it."""
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
@@ -193,22 +199,22 @@ class PortHandover:
 
     @property
     def sure(self) -> bool:
-        """False while the open device was taken for the board only because no better one was found."""
+        """False if the open device was opened only because no better one was found, so it may not be the board."""
         return self.opener.finder.sure
 
     @property
     def misplaced(self) -> bool:
-        """True if the open device is not the board, and the board is connected at another port."""
+        """True if the open device is not the board, because the board is now connected at another port."""
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
 
     def believe(self) -> None:
-        """Record that the open device has answered as the board does. It therefore is the board."""
+        """Record that the open device is the board, because it has answered as the board does."""
         if self._port.fd >= 0 and not self.opener.finder.settled:
             self.opener.believed = True
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
-        """Close the port if it is gone, or if the open device is not the board, and make the thread look for the board.
-        Returns True if that was the case."""
+        """If the port is gone, or if the open device is not the board, close the port and let the thread look for the
+        board. Returns True if the port was closed."""
         if self._port.fd < 0:
             return False
         gone = ready.get(self._port.fd, 0) & GONE or self._port_owner_s() == records.PORT_LOST
@@ -228,8 +234,8 @@ class PortHandover:
         return True
 
     def opened(self, now_ns: int) -> int | None:
-        """Share a port that has just come back with the other processes. Returns when its burst was written (0 if it
-        was not), or None if no port has come back."""
+        """If the thread has opened a lost port again, share it with the other processes. Returns when the burst was
+        written to the port, or 0 if it was not written. Returns None if no port was opened again."""
         found = self.opener.pop()
         if found is None:
             return None
@@ -248,32 +254,33 @@ class PortHandover:
         return written_ns
 
     def make_up(self, now_ns: int) -> None:
-        """Send the descriptor again to each process that could not receive it, for example because it had no free
-        descriptor number."""
+        """Send the port's descriptor again to each process that could not receive it, for example because the process
+        had no free descriptor number."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
                 [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Send the port to each of these processes that runs. A process that is not started yet will inherit the port.
-        If it were sent one too, the descriptor would stay open in its queue."""
+        """Send the port's descriptor to each of the named processes, if the process was started. A process that is not
+        started yet inherits the port. If it were also sent the descriptor, this copy would stay open in the queue of
+        its socket."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """The state of the currently open port, as the port owner reports it."""
+        """What the port owner reports about the current port: whether it has the port open, or has lost it."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:
-        """True if this process (port owner, stopper or telemetry) has the port that is open here."""
+        """True if the process `name` (the port owner, the stopper or telemetry) has the current port."""
         if name == layout.PORT_OWNER:
             return self._port_owner_s() == records.PORT_OPEN
         return self._numbers[name].get() == self._port.number
 
     def complete(self) -> bool:
-        """True when all four processes have the port. Otherwise the stopper could not stop, or no stop could be
-        proved."""
+        """True if the supervisor, the port owner, the stopper and telemetry all have the port. If the stopper does not
+        have it, the stopper can't stop the robot. If telemetry does not have it, no stop can be proved."""
         return self._port.fd >= 0 and all(map(self.has, self.controls))

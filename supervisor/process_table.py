@@ -1,5 +1,5 @@
-"""ProcessTable: starts, reaps and restarts the supervisor's children, and publishes their pids to the processes that
-watch them."""
+"""ProcessTable: starts, reaps and restarts the supervisor's children. It publishes the pid of each child to the
+processes that watch the child."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""How long a starved process is shown in the status. Each further silence that the machine explains restarts this
-time."""
+"""How long the status shows that a process was starved. Each time a process is starved again, this time starts
+again."""
 GATE_AGAIN_NS = 60_000_000_000
-"""If the gate died too often, it is started again after this time, because people need it to request a reset."""
+"""If the gate has died too often, it is still started again after this time. Only the gate can receive a person's
+request for a reset."""
 
 
 class ProcessTable:
-    """Every process of the table, with its current state. `early.bell` rings when a death is reported early
-    (shm/lifeline.py)."""
+    """The processes that the supervisor starts and watches. `early.bell` rings when the death of a process is reported
+    early (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """From now on the kernel reports the death of this thread early, through the supervisor's block of futexes.
-        `advice`: what people can do if the machine does not run a process."""
+        """Create the children, but do not start them. From now on the kernel reports the death of the calling thread,
+        which is the supervisor, through the supervisor's block of futexes. `advice`: what people can do if the machine
+        does not run a process."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -50,7 +52,7 @@ class ProcessTable:
         self._advice = advice
         self._starved_logged_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
-        """The longest silence that is shown, in ms, and the name of the process that was silent."""
+        """The longest recent silence of a starved process, in ms, and the name of the process."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -58,8 +60,8 @@ class ProcessTable:
         return self._by_name[name]
 
     def died(self, ready: dict[int, int]) -> list[Child]:
-        """The processes whose death was reported by this wake-up, or by an early report before it. Each is returned
-        once."""
+        """The processes that have died and whose death was not handled yet. `ready`: the descriptors that have just
+        woken the loop."""
         return [child for child in self.children if child.life and child.state != DEAD and child.life.died(ready)]
 
     def reap(self, ready: dict[int, int], now_ns: int) -> None:
@@ -102,15 +104,16 @@ class ProcessTable:
         self._events.log("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
-        """Restart the processes that are down. Called after a reset, because the person who resets knows about them."""
+        """Restart the processes that died too often. Called after a reset, because a person who resets has seen that
+        they are down."""
         for child in self.children:
             if child.state == DOWN:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """Start waiting for an early report of each running process's death. If the port owner dies, the waiting thread
-        itself writes a stop at once."""
+        """For each process that now reports that it runs, start a thread that waits for the early report of its death.
+        If the port owner dies, the waiting thread itself writes a stop at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
@@ -120,19 +123,20 @@ class ProcessTable:
                     self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _ring_watchers(self) -> None:
-        """Ring the bells of the processes that watch others, so that they look up the current pids."""
+        """Ring the bells of the port owner and the stopper, because they watch other processes and must read the new
+        pids."""
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
     def restart_due(self, now_ns: int) -> None:
-        """Start the processes whose restart is due."""
+        """Restart the processes whose waiting time before the restart is over."""
         for child in self.children:
             if child.restart.due(now_ns):
                 child.times_restarted += 1
                 self.start(child)
 
     def start(self, child: Child) -> None:
-        """Start a process, which inherits the port, and publish its pid to the processes that watch it."""
+        """Start a process, and publish its pid to the processes that watch it. The process inherits the port."""
         name, block, pid, life = child.row.name, self._free_block(), 0, None
         try:
             pid = self._spawn(child.row, block)
@@ -153,8 +157,9 @@ class ProcessTable:
             self._ring_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
-        """Start a process. It gets its block of futexes, its descriptors (-1 for one that is not open), and the port's
-        number. Returns the pid. Raises OSError."""
+        """Start a process. On its command line the process gets the number of its block of futexes, the descriptors
+        that it inherits, and the number of the port. A descriptor that is not open is given as -1. Returns the pid.
+        Raises OSError."""
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}
@@ -162,7 +167,7 @@ class ProcessTable:
         return starter.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def pass_notes(self) -> None:
-        """Log the notes that other processes have for people."""
+        """Log the notes for people that the gate and telemetry have written."""
         for process, ring in self._notes.items():
             while entry := ring.next():
                 try:
@@ -173,14 +178,14 @@ class ProcessTable:
                 self._events.log(note.kind, note.text, fields, level=note.level, step=note.step)
 
     def report_spared(self, now_ns: int) -> None:
-        """Once per turn: report each spared process that beats again."""
+        """Log each starved process that beats again, with the length of its silence. Call this once per turn."""
         for child in self.children:
             if silent_ns := child.beaten():
                 self.log_starved(child.row.name, silent_ns, now_ns)
 
     def log_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
-        """Log that the machine did not run a process for this long. The first time is logged at once, later ones at
-        most every ten seconds."""
+        """Log that the machine did not run the process `name` for `silent_ns`. The first such silence is logged at
+        once. Later ones are logged at most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
         self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda starved: starved[0])
         self._starved_times += 1
@@ -195,14 +200,14 @@ class ProcessTable:
         return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")
 
     def starved_record(self) -> dict[str, object]:
-        """The fields about starved processes, for clients: the longest silence that is shown, and how many silences
-        this run has had that the machine explains."""
+        """Fields for clients about starved processes: the longest recent silence of a starved process, and how many
+        such silences this run has had."""
         longest_ms, process = self._shown_starved(monotonic_ns())
         shown = {"longest_ms": longest_ms, "process": process} if process else None
         return {"starved": shown, "starved_times": self._starved_times}
 
     def _free_block(self) -> int:
-        """A block of futexes that no living process holds."""
+        """The number of a block of futexes that no living process holds."""
         held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
         self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
         return self._block

@@ -1,13 +1,13 @@
-"""Proof: what can be known about a stop after it was answered. Link: what the board's answers prove about the link to
-it. Pure.
+"""Proof: what is known about the effect of a stop. Link: whether the board hears what is written to it. Pure.
 
 A stop can reach these levels of proof:
 
     acknowledged   the board answered a ping that was written after the stop, or reports that it obeys zeros
     observed       the IMU, or the board's reports of its wheels, show that the wheels are still (unstill: they are not)
-    logged         nothing more will be known about the stop, so its outcome is logged
+    logged         nothing more will become known about the stop, so its outcome is logged
 
-The levels are kept apart everywhere. For example, the board may be silent while the IMU sees the wheels come to rest.
+No level is ever concluded from another one. For example, the board may not answer although the IMU shows that the
+wheels came to rest.
 """
 
 from __future__ import annotations
@@ -35,78 +35,83 @@ WHEELS_UNKNOWN = "unknown"
 WHEELS_UNSTILL = "unstill"  # they still move although they should not, and have not been seen still since the stop
 WHEELS_STILL = "still"
 PONG_NS = 20_000_000
-"""A ping younger than this may still be answered. A stop's ping and the ping after it are further apart
-(schedule.py)."""
+"""A ping that is younger than this may still be answered, so it does not show that the board is deaf. The ping after a
+stop and the following ping are further apart than this (schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
 """If the board has not acknowledged a stop after this time, the stop is logged as not acknowledged."""
 JUDGED_AFTER_NS = 800_000_000
-"""The IMU's verdict counts for a stop only if it was made this long after the cause. That is longer than one window of
-samples plus the time for which the verdict is held (procs/telemetry/still.py)."""
+"""If the wheels were never seen moving, a verdict "the wheels are still" counts only if it was made this long after the
+stop's cause. This is longer than one window of IMU samples plus the time for which a verdict is held
+(procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A verdict older than this does not count. Either the IMU or telemetry is silent then."""
+"""A verdict about the wheels that is older than this does not count. It means that the IMU or telemetry has gone
+silent."""
 LEAST_NS = 1_000_000
-"""The shortest time that is shown for wheels that came to rest after a stop. 0 would mean that they were already still
-before it."""
+"""If the wheels came to rest after a stop, the shown time is at least this long. A time of 0 would mean that the wheels
+were already still before the stop."""
 HEEDS_NS = 200_000_000
-"""If the board obeys motion, it reports so within its echo time. If it still reports zero this long after that, it does
-not hear."""
+"""A board that reports which commands it obeys must report motion within its echo time. If it still reports zero for
+this long after the echo time, the board counts as deaf."""
 LATE_LOOK_NS = 200_000_000
-"""If the supervisor first looks at the IMU's verdict this long after the cause, because it was held up, it may have
-missed that the wheels were moving."""
+"""If the supervisor was held up, it may look at the IMU's verdict for the first time only after the stop. If it looks
+this long after the stop's cause, it may have missed that the wheels were moving."""
 
 
 class Proof:
-    """The proof of one stop that was answered. All times are CLOCK_MONOTONIC in ns."""
+    """What is known about the effect of one stop. All times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
-        """`after_ns`: how long the wheels may take to be still. `unix_s`: the wall clock time at `now_ns`. `by`: what
-        acknowledges and what observes the stop (interface.py). If `now_ns` is long after the cause, the board and the
-        wheels still get their usual time, counted from `now_ns`."""
+        """`after_ns`: how long the wheels may take to come to rest. `unix_s`: the wall clock time at `now_ns`. `by`:
+        (how the board acknowledges a stop, what observes the wheels), see interface.py. The time limits after which the
+        outcome is logged count from `now_ns`, because the stop's cause may be long ago."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
-        """The wall clock time when the cause was noticed, for people (Unix time, s)."""
+        """The wall clock time at which the stop's cause was noticed, as Unix time in s, for people."""
         self.acknowledged_ns: int | None = None
-        """The time from the cause to the board's answer, ns. None if the board has not answered."""
+        """The time from the stop's cause to the board's answer, ns. None if the board has not answered."""
         self.observed_ns: int | None = None
-        """The time from the cause until the wheels were still, ns. 0 if no motion was observed before the stop either.
-        None if the wheels were not observed to be still."""
+        """The time from the stop's cause until the wheels were still, ns. It is 0 if the wheels were never seen moving.
+        It is None if the wheels were not seen still."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """True if the kernel still held the stop's bytes when the outcome was logged, because the board takes no
+        """True if the stop's bytes were still in the kernel when the outcome was logged, because the board accepts no
         bytes."""
         self.believed = True
-        """False until the device to which the stop was written has answered as the board does."""
+        """False if the device to which the stop was written has not yet answered as the board does, so it may not be
+        the board."""
         self.logged = False
-        """True once the outcome of the stop was logged, with everything that can be known."""
+        """True if the outcome of the stop was logged."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """The time from which the board's answers count, and from which the time limits for the proof run."""
+        """The time limits for the proof count from this time: when the proof began, or when a delayed stop was finally
+        written."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """Record when a stop was written that had to wait until the port came back."""
+        """Record that the stop could be written only now, because the port was lost. The proof then begins again."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.logged = False
         self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
     def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
-        """Record that the ping sent at `sent_ns` was answered. Returns True if this acknowledges the stop."""
+        """Record that the board has handled bytes that were written at `sent_ns`, and that its answer came at
+        `arrival_ns`. Returns True if this acknowledges the stop."""
         if self.acknowledged_ns is not None or sent_ns < self.stop.written_ns or not self.stop.written_ns:
             return False
         self.acknowledged_ns = arrival_ns - self.stop.t_ns
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Record the verdict of the IMU, or of the board's reports, about the wheels. Returns True if the wheels still
-        move although they should be still by now. Later it returns True again each time the same period has passed. The
-        caller must then write the stop again.
+        """Record a verdict about the wheels, from the IMU or from the board's reports. Returns True if the wheels still
+        move after the time in which they should have come to rest. The caller must then write the stop again. If the
+        wheels keep moving, this returns True again each time the same period has passed.
 
         `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
-        0 if there has been none.
+        0 if no verdict was made yet.
         """
         self._looked_ns = self._looked_ns or now_ns
         if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
@@ -129,7 +134,8 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """Returns True once, when nothing more will be known about the stop, so its outcome must be logged now."""
+        """Returns True when the outcome of the stop must be logged, because nothing more will become known about it.
+        Returns True only once."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -165,7 +171,7 @@ class Proof:
         }
 
     def as_record(self) -> dict[str, object]:
-        """The record about the stop that clients read."""
+        """The record about this stop, as clients read it."""
         return {
             "cause": self.stop.cause.pack(),
             "latched": (self.stop.behind or self.stop).cause.pack(),
@@ -190,97 +196,103 @@ class Proof:
 
 
 class Link:
-    """The state of the link: whether the board at the open port hears what is written to it, and whether it still sends
-    anything. Pure.
+    """The state of the link to the board: whether the board at the open port hears what is written to it, and whether
+    it sends anything. Pure.
 
-    unproven   the board has answered no ping since the port was opened. Nothing is known, so nothing is stopped for it
+    unproven   the board has answered no ping since the port was opened. It may not hear, but this alone stops no motion
     alive      the board answers
-    deaf       the board answered before and no longer does, or it reports that it obeys zero while motion is written
-    silent     the board sent reports before, and now it sends nothing at all. It has no power, or its program has
-               ended, or the wire from it is broken. Nobody can tell which, or knows whether it still hears
-    unheard    the port was lost and is open again, but the device there has not answered. It may not be the board
-    unasked    the board has no pings that it could answer. Nothing is known, and nothing waits for an answer
+    deaf       the board answered earlier and now does not, or it reports that it obeys zero while motion is written
+    silent     the board sent reports earlier and now sends nothing. It has no power, or its program has ended, or the
+               wire from the board is broken. Nobody can tell which of these it is, or whether the board still hears
+    unheard    the port was lost and is open again, but the device at the port has not answered. It may not be the board
+    unasked    the board has no pings, so it can't answer. Nothing is known about its hearing, and this stops no motion
 
-    Unheard is used if the board was heard before the loss, or if the device may not be the board (finder.py). A board
-    can go deaf while it still sends reports, so its reports never prove that it hears.
+    After a loss of the port, the state is unheard if the board had answered before the loss, or if the device may not
+    be the board (finder.py). A board can be deaf and still send reports, so its reports never prove that it hears.
     """
 
     def __init__(self, deaf_ns: int, *, asked: bool = True, echo_ns: int = 0) -> None:
-        """`deaf_ns`: a board that has not answered for this long is deaf. `asked`: True if the board has pings.
-        `echo_ns`: within what time the board reports that it obeys a written command; 0 if it sends no such reports."""
+        """`deaf_ns`: if the board has not answered for this long, it is deaf. `asked`: True if the board has pings.
+        `echo_ns`: how long the board may take to report that it obeys a command; 0 if it sends no such reports."""
         self._deaf_ns = deaf_ns
         self._asked = asked
         self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
         self._first = LINK_UNPROVEN if asked else LINK_UNASKED
         self._answers = self._first
-        """The state of the link according to the board's answers and its reports of obeyed commands, without regard to
-        silence."""
+        """The state of the link as it follows from the board's answers and its reports about obeyed commands. It never
+        says that the board is silent."""
         self._silent = self._by_echo = False
         self._heard = False
-        """True if the board has answered a ping in this run, or, if it has no pings, has sent anything since its port
-        was opened."""
+        """True if the board was heard in this run. A board with pings is heard if it has answered a ping. A board
+        without pings is heard if it has sent anything."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
-        """When the machine last held up a process that is needed to hear the board; 0 if never."""
+        """`_held_up_ns`: when the machine last held up a process that is needed to hear the board, or 0. `_unheard_ns`:
+        the length of a silence that was excused for this reason and is not reported yet."""
         self._true_ns = 0
-        """When the newest ping was sent that the whole board has answered. Until then, when the port was opened."""
+        """When the newest answered ping was sent. If no ping was answered since the port was opened, the time when the
+        port was opened."""
         self._said_ns = self._patience_ns = 0
-        """When the board last sent anything (0 if nothing since the port was opened), and how long it may pause."""
+        """`_said_ns`: when the board last sent anything, or 0 if it has sent nothing since the port was opened.
+        `_patience_ns`: how long the board may pause between two reports."""
         self._answered_ns = 0
-        """When the newest answered ping was sent. Silence counts from there."""
+        """When the newest answered ping was sent. The board's time without an answer counts from this time. After a
+        time in which no answer could be read, it counts from the newest ping."""
         self._asked_ns = 0
-        """When the first ping after the newest answered one was sent; 0 if none has been sent."""
+        """When the first ping that the board has not answered was sent; 0 if no ping waits for an answer."""
         self._missed = False
 
     @property
     def state(self) -> str:
-        """The state of the link, as one of the words in the class's table."""
+        """The state of the link, as one of the words in the table of this class."""
         return LINK_SILENT if self._silent else self._answers
 
     @property
     def believed(self) -> bool:
-        """False until the device at the port has shown that it is the board."""
+        """True if the device at the open port has shown that it is the board."""
         return self._answers not in (LINK_UNPROVEN, LINK_UNHEARD)
 
     @property
     def forbids(self) -> bool:
-        """True if motion must not be enabled, because the board was heard in this run and is not heard at the moment. A
-        device that was never heard is allowed, because some boards send nothing by design. A board that obeyed zero
-        while motion was written is allowed too: a stop is latched for it, and after the reset only the next motion
-        shows whether the board hears again."""
+        """True if motion must not be enabled, because the board was heard in this run and is not heard now.
+
+        A device that was never heard does not prevent motion, because some boards send nothing by design. If the board
+        obeyed zero although motion was written, a stop is latched. After the reset, only new motion can show whether
+        the board hears again, so this does not prevent motion either.
+        """
         known = self._answers == LINK_DEAF and not self._by_echo
         return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
 
     def opened(self, now_ns: int, *, sure: bool = True) -> None:
-        """Begin again with a newly opened port, because nothing is known about the device there. `sure`: True if the
-        device is known to be the board."""
+        """Record that a port was opened. Nothing is known about the device at this port, so the link's state begins
+        again. `sure`: True if the device is certainly the board."""
         self._answers = self._first if sure and not self._heard else LINK_UNHEARD
         self._opened_ns = self._answered_ns = self._listened_ns = self._true_ns = now_ns
         self._asked_ns = self._said_ns = 0
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Record that no process could hear an answer until now. A silence counts only from now on, or from the next
-        ping."""
+        """Record that until now no process could read the board's answers. The board's silence before this time, and
+        the pings up to `newest_ping_ns`, do not count against the board."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
     def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
-        """Record that one part of the board (a wheel's servo) does not answer, so no ping is answered as a whole. The
-        board does not count as deaf while its other parts answer."""
+        """Record that one part of the board (a wheel's servo) does not answer. No ping can then be answered completely.
+        The board does not count as deaf as long as other parts of it answer."""
         if now_ns - self._said_ns < self._deaf_ns:
             self.listen(newest_ping_ns)
 
     def held_up(self, now_ns: int) -> None:
-        """Record that the machine holds up a process that is needed to hear the board. Nobody can tell then whether the
-        board was really silent."""
+        """Record that the machine holds up a process that is needed to hear the board. During this time, nobody can
+        tell whether the board is really silent."""
         self._held_up_ns = now_ns
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
-        """True if the machine may explain a silence that began at `since_ns`. The silence is then counted again from
-        now on, and motion is stopped because of it. No board is excused for longer than a healthy service may be held
-        up."""
+        """True if the board has seemed silent since `since_ns`, but perhaps only because the machine held up the
+        service. The silence is then measured again from `now_ns`, but motion is stopped. After LONGEST_NS, a silence is
+        not excused any more."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -289,13 +301,13 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """How long nothing was heard from the board while the machine held up the service, ns. Each silence is returned
-        once; 0 if there was none."""
+        """If a silence of the board was excused because the machine held up the service, returns its length, ns. Each
+        silence is returned once. Otherwise returns 0."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
-        """Record that the board sent something at `said_ns`. It may be of any kind."""
+        """Record that the board sent any bytes at `said_ns`. `newest_ping_ns`: when the newest ping was sent."""
         if said_ns <= max(self._said_ns, self._opened_ns):
             return
         self._said_ns = said_ns
@@ -308,28 +320,29 @@ class Link:
                 self._answers = LINK_UNASKED
 
     def check_silence(self, patience_ns: int, now_ns: int) -> None:
-        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0 if it sends nothing except
-        answers."""
+        """Check whether the board has gone silent. `patience_ns`: how long the board may pause between two reports; 0
+        if it sends only answers to pings."""
         self._patience_ns = patience_ns
         since_ns = max(self._said_ns, self._listened_ns)
         if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
             self._silent = True
 
     def check_echo(self, unheeded_ns: int) -> None:
-        """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: since when it
-        has reported that; 0 if it does not. The check uses the time of the last report, so a pause in the reports makes
-        no board deaf."""
+        """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: when the first
+        of these reports came; 0 if there is no such report. A pause in the reports does not make the board deaf,
+        because the time counts only up to the newest report."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Record that no stop is latched. After a stop, a deaf board and a board that hears both report zero. So only
-        the next motion shows whether the board hears again."""
+        """Record that no stop is latched. If the board counted as deaf because it obeyed zero, forget this. While a
+        stop is latched, a deaf board reports zero, and so does a board that hears. Only the next motion shows the
+        difference."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 
     def answered(self, sent_ns: int) -> None:
-        """Record that the ping sent at `sent_ns` was answered."""
+        """Record that the board has answered the ping that was sent at `sent_ns`."""
         if sent_ns < self._opened_ns:
             return  # answered by the device that was at the port before it was opened again
         if not self._by_echo:
@@ -340,7 +353,8 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """Returns True once, if the device at a port that was opened again should have answered by now and has not."""
+        """Returns True if a lost port was opened again, and the device at the port has not answered in time. Returns
+        True only once per opened port."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False
@@ -348,7 +362,8 @@ class Link:
         return self._missed
 
     def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
-        """True if the board has just become deaf. `newest_ping_ns`: when the last ping was sent."""
+        """Check whether the board has become deaf. Returns True once when it has. `newest_ping_ns`: when the newest
+        ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
         if self.state != LINK_ALIVE or not self._asked_ns:
@@ -365,7 +380,7 @@ class Link:
         return True
 
     def _may_be_silent(self, now_ns: int) -> bool:
-        """True while a board that normally reports all the time has sent nothing lately. It may be about to count as
-        silent, so it does not count as deaf yet."""
+        """True if the board normally sends reports all the time and has sent none lately. It will probably count as
+        silent soon, so it must not count as deaf."""
         quiet_ns = now_ns - max(self._said_ns, self._listened_ns)
         return 0 < self._patience_ns <= self._deaf_ns and self._said_ns > 0 and quiet_ns >= self._patience_ns // 2

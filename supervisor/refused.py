@@ -1,9 +1,9 @@
-"""Refused: explains why the kernel refuses a process real-time priority although its limits and capabilities allow it,
-and what helps. The reason is either the process's control group (RT_GROUP_SCHED) or a filter of system calls.
+"""Refused: explains why the kernel does not let a process have real-time priority although its limits or capabilities
+allow it, and what helps. The reason is either the process's control group (RT_GROUP_SCHED) or a filter of system calls.
 
-If the kernel is built with RT_GROUP_SCHED, each control group with the controller cpu has its own share of time for
-real-time processes. A new group gets no time. On cgroup v1, root can give it some. On cgroup v2, no file exists for
-that.
+If the kernel is built with RT_GROUP_SCHED, each control group with the controller `cpu` has its own share of time for
+real-time processes. The share of a new group is zero. With cgroup v1, root can give the group a larger share by writing
+to a file. With cgroup v2, there is no such file.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from failstop.policy.processes import SUPERVISOR_PRIORITY
 PROC, GROUP_FOLDER, BOOT = "/proc", "/sys/fs/cgroup", "/boot"
 OPTION = "CONFIG_RT_GROUP_SCHED="
 SYS_NICE = 23
-"""The number of the bit for CAP_SYS_NICE in a set of capabilities."""
+"""The number of the bit that stands for CAP_SYS_NICE in a set of capabilities."""
 FIRST_USERS = ["0", "0", "4294967295"]
-"""The user map of the first user namespace. Capabilities allow real-time priority only in that namespace."""
+"""The fields of /proc/PID/uid_map for a process in the machine's first user namespace. Only in this namespace do
+capabilities allow real-time priority."""
 RUNTIME = "cpu.rt_runtime_us"
 RUNTIME_US = 950000
-"""The usual real-time share of the root group, us. Advice suggests it for the other groups."""
+"""The real-time share that the root group usually has, in us. The advice suggests the same share for other groups."""
 
 ALLOWED = "its limits allow real-time priority, but"
 NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
@@ -37,9 +38,9 @@ FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its uni
 
 
 def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
-    """Why a process was refused real-time priority, and what helps. Empty if its own limits and capabilities don't
-    allow it either, because then they are the reason. `unit`: the systemd unit that starts the process. Never
-    raises."""
+    """Why the kernel refused a process real-time priority, and what helps. The text is empty if the process's own
+    limits and capabilities don't allow real-time priority, because then they are the reason. `unit`: the systemd unit
+    that starts the process. Never raises."""
     if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
         return ""
     for line in _lines(f"{PROC}/{pid}/cgroup"):
@@ -53,7 +54,7 @@ def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: boo
 
 
 def _allowed(pid: int | str, priority: int) -> bool:
-    """True if the limits or the capabilities of the process allow it this priority."""
+    """True if the limits or the capabilities of the process allow it the real-time priority `priority`."""
     for line in _lines(f"{PROC}/{pid}/limits"):
         if line.startswith("Max realtime priority"):
             soft = line.split()[3]
@@ -79,14 +80,15 @@ def _runtime(group: str) -> str:
 
 
 def _of_v2(group: str) -> bool:
-    """True if a cgroup v2 group has its own share of the processor, and the kernel may be built with RT_GROUP_SCHED."""
+    """True if a cgroup v2 group has its own share of the processor, and the kernel may have been built with
+    RT_GROUP_SCHED."""
     controllers = f"{GROUP_FOLDER}{group}/cgroup.controllers"
     return "cpu" in _word(controllers).split() and _configured()
 
 
 def _configured() -> bool:
-    """True if the kernel may be built with RT_GROUP_SCHED. False only if the kernel's configuration can be read and
-    shows that it is not."""
+    """True if the kernel may have been built with RT_GROUP_SCHED. False only if the file with the kernel's
+    configuration can be read and does not contain the option."""
     lines = _lines(f"{BOOT}/config-{os.uname().release}")
     return not lines or f"{OPTION}y" in lines
 

@@ -1,12 +1,13 @@
-"""Run: everything that one run of the service creates before its first process starts, and how it is removed again.
+"""Run: everything that one run of the service creates before it starts its first process, and how all of it is removed.
 
 Other programs find a run by its name: a file that says which shared memory belongs to the service. The name is created
 last and removed first. So if the name exists, everything that belongs to the run exists too.
 
-If the names are removed while the service runs, a process that has already attached a segment can keep using it. That
-happens, for example, when the service's user logs out and logind has RemoveIPC=yes. But from then on no process can be
-started, no client can connect, and nobody can request a stop without the stop pipe's name. A running service can't fix
-that, so it ends; the next run creates its own names.
+Someone may remove the names of the shared memory and the pipes while the service runs. For example, if logind.conf has
+RemoveIPC=yes, logind removes the names of the shared memory when the service's user logs out. A process that has
+already attached to the shared memory can still use it. But no process can be started any more, no client can connect,
+and nobody can request a stop without the stop pipe. A running service can't repair this, so it ends, and the next run
+creates new names.
 """
 
 from __future__ import annotations
@@ -30,16 +31,17 @@ from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events
 
 GROUP = "failstop"
-"""The group whose members may drive. Anyone may stop the robot."""
+"""The group whose members may drive the robot. Any user may stop the robot, even without this group."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""How the names of client slots begin. The service can go on if one of these names is removed."""
+"""The text with which the name of every client slot begins. If one of these names is removed, the service can still go
+on."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The id of the group whose members may drive. Returns -1 if no such group exists or this user may not use it. Then
-    members of the service's own group may drive."""
+    """The id of the group whose members may drive. Returns -1 if the group does not exist, or if this user may not use
+    it. The members of the service's own group may then drive."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -54,26 +56,26 @@ class Run:
     def __init__(
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
-        """Create everything except the run's name, which publish() creates. The caller holds the instance's lock.
-        Raises segments.AttachError, instance.InstanceError or OSError. After an error nothing is left behind except the
-        memory of an earlier, dead run."""
+        """Create everything except the run's name, which publish() creates. The caller must hold the instance's lock.
+        Raises segments.AttachError, instance.InstanceError or OSError. If it raises, everything that it has created is
+        removed again."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
         self._again = again
-        """The command line that would start this run again."""
+        """The command line with which the same service can be started again."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segments.memory(name, self.incarnation)
-        """The name that all of this run's segments share."""
+        """The first part of the name of every segment of this run."""
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """Descriptors of the black box of an earlier run that did not end cleanly. The names of that run are removed
-        once this run has published its own."""
+        """If an earlier run did not end cleanly, the descriptors of its black box. The names of the earlier run are
+        removed when this run has published its own name."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
-        """Descriptors of the processes' segments, for the black box. They can still be read after the names are
-        gone."""
+        """The descriptors of the processes' segments, for the black box. Through them, the segments can be read even
+        after their names are removed."""
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
@@ -87,7 +89,8 @@ class Run:
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:
-        """Raise an InstanceError if another run of this instance is alive, even if its lock file is gone."""
+        """Raise an InstanceError if another run of this instance is alive. This finds the other run even if someone has
+        removed the lock file."""
         try:
             incarnation, _ = instance.current_run(self.runtime_dir)
         except instance.NoService:
@@ -110,13 +113,15 @@ class Run:
         self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
-        """A descriptor of each object that other processes find by its name. It shows when the name is removed."""
+        """The objects that other processes find by a name: a text for people, and a descriptor of the object. If
+        fstat() of the descriptor reports no links, the name was removed."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
     def _publish_settings(self) -> None:
-        """Publish the settings that clients need, the pid namespace of this process, and the complete settings."""
+        """Publish in shared memory: the settings that clients need, the pid namespace of this process, and the complete
+        settings."""
         rules = {
             "sources": list(self.settings.sources()),
             "interlocks": list(self.settings.interlocks()),
@@ -127,8 +132,9 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self, stop: str = "") -> None:
-        """Publish the run's name, so that clients can find it. Everything that clients read exists by then. Also save
-        how the run was started and the board's `stop` (board/kept.py). Raises OSError."""
+        """Publish the run's name, so that clients can find the run. Call this when everything that clients read exists.
+        It also saves how the run was started, and the board's stop, for the time when the service is not running
+        (board/kept.py). `stop`: the board's stop, packed. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
@@ -138,7 +144,8 @@ class Run:
             segments.unlink_all(run)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
-        """Every descriptor that the process may inherit, by its name on the command line."""
+        """Every descriptor that the process `process` may inherit. The keys are the names of the options on its command
+        line."""
         found = {f"{other}_bell": found.fd for other, found in self.bells.items()}
         found |= {"bell": self.bells[process].fd, "port": port_fd}
         found |= {"stop": self.stop_pipe, "client_bell": self.client_bell}
@@ -147,8 +154,8 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Check once per second whether the names that other processes need still exist, and log each missing name.
-        Returns the cause for which the service must end, or None."""
+        """Check whether the names that other processes need still exist, and log each missing name. It checks at most
+        once per second. Returns a cause if the service must end because of a missing name, otherwise None."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns
@@ -166,8 +173,8 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Remove all names of the run, its own name first. Memory that a process still uses stays until that process
-        ends."""
+        """Remove the run's name, and then all other names of the run. Shared memory that a process still uses exists
+        until that process ends."""
         instance.clear(self.runtime_dir)
         segments.unlink_all(self.memory)
         for made in self._segments:

@@ -1,7 +1,9 @@
-"""Starts and reaps processes, including the supervisor. Decides which interpreter and which command line each one gets.
+"""Starts and reaps processes, including the supervisor. Also decides which interpreter and which command line each
+process gets.
 
-Processes start with `-I -S`, without Python's site module, because it costs a small process more than all of its own
-imports. So they get the search path in an environment variable instead.
+Processes start with the options `-I -S`, so without Python's site module. In a small process, the site module would
+take longer than all other imports together. Without it, Python does not find every package, so processes get the search
+path in an environment variable.
 """
 
 from __future__ import annotations
@@ -17,14 +19,13 @@ from failstop.supervisor.bootstrap import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""Settings for the C library. All threads share one heap, because a second one would cost 200 kB when a thread does its
-first job, minutes after the start."""
+"""Environment variables for the C library. With MALLOC_ARENA_MAX=1, all threads share one heap. Otherwise, a thread
+would create a second heap when it does its first job, perhaps minutes after the start, and that would take 200 kB."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
-"""Environment variables that every process gets, because they say where the runtime directory and telemetry's files
-are."""
+"""Environment variables that every process gets. They say where the runtime directory and telemetry's files are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""Environment variables from the service manager. Only the supervisor gets them, because only it notifies the
-manager."""
+"""Environment variables that the service manager sets. Only the supervisor gets them, because no other process may
+notify the service manager."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
@@ -60,9 +61,9 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process by the supervisor, which keeps the pid and inherits the lock and the open port. It runs as a
-    new program, because the command line's imports would double its size. `again`: the command line that would start
-    this run again. Raises OSError."""
+    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. The
+    supervisor is a new program without the imports of the command line, because they would make it twice as large.
+    `again`: the command line with which the same service can be started again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

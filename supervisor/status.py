@@ -1,21 +1,21 @@
-"""Status: publishes what motion waits for, and tells the service manager whether the supervisor does its job.
+"""Status: publishes why motion can't be enabled yet, and tells the service manager whether the supervisor does its job.
 
-The gate reads the ready word, clients read the process table, and the service manager gets datagrams (the sd_notify
-protocol): ready, a status line, watchdog beats, and the end. The supervisor never waits for the manager. A datagram
-that could not be sent is sent again later.
+The gate reads the ready word, and clients read the process table. The service manager gets datagrams (the sd_notify
+protocol): ready, a status line, watchdog beats, and the end. The supervisor never waits for the service manager. If a
+datagram could not be sent, it is sent again later.
 
-The supervisor stops sending watchdog beats only if it does not do its job:
+The service manager restarts the service if the watchdog beats stop. They stop only in these cases:
 
-    the supervisor hangs                    it sends no watchdog beats
+    the supervisor hangs                    so it can't send a beat
     a killed process does not go away       something in the kernel holds it, so the supervisor can't replace it
-    a stop is owed                          no process could write it, although the port is open
+    a stop can't be written                 although the port is open
 
-In every other case it counts as healthy, however bad things look: a process is down until a reset, the port is gone, or
-the board is deaf. The wheels have been told to stop then, and the status is still published. If the manager restarted
-the service, both would end.
+In every other case the beats go on, even if a process is down until a reset, the port is gone, or the board is deaf. In
+these cases the supervisor still publishes the status, and it has told the wheels to stop as far as it can. A restart
+would interrupt both.
 
 This file also explains what the service loses without real-time scheduling and locked memory, which lease it can keep
-without them, and which command grants them.
+without these rights, and which command grants them.
 """
 
 from __future__ import annotations
@@ -46,25 +46,30 @@ if TYPE_CHECKING:  # commands use only the functions about rights, and don't nee
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""If a killed process still exists after this time, something in the kernel holds it. Normally it is gone milliseconds
-after SIGKILL, or after seconds if it closes a port that does not drain."""
+"""If a killed process still exists after this time, something in the kernel holds it. Normally a killed process is gone
+after milliseconds. If it has to close a port that does not drain, it may take seconds."""
 OWED_NS = 2_000_000_000
-"""If a stop is still owed after this time, no burst could be written. The supervisor tries 5 ms after the cause, and
-then every 200 ms."""
+"""If a stop is neither answered nor written after this time, the supervisor does not do its job. By then it has tried
+to write the stop many times: the first time 5 ms after the cause, and then every 200 ms."""
 WAITED_NS = 2_000_000_000
-"""How long motion must wait for something before the wait is logged. A restart of a process takes much less."""
+"""If motion has to wait for something, the wait is logged after this time. A restart of a process takes much less
+time."""
 NOTIFY_EVERY_NS = 100_000_000
-"""The shortest time between two status lines. The gate's part of the line changes at every tick while someone
-drives."""
+"""The shortest time between two datagrams with a status line. While someone drives, the gate's part of the line changes
+at every tick."""
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
 LEASE_WITHOUT_S = 0.2
-"""The lease without real-time rights, s, if the settings don't choose one. It must stay below 0.25 s, which is how long
-the stopper lets the port owner be silent and the supervisor lets the gate be silent. So the processes still react to a
-hang in the same order."""
+"""The lease of a service without real-time rights, s, if the user has not chosen a lease.
+
+The lease must be shorter than 0.25 s. After 0.25 s the stopper notices that the port owner hangs, and the supervisor
+notices that the gate hangs. With a shorter lease, the processes react to a hang in the same order as with real-time
+rights.
+"""
 OF_A_TIMEOUT = 0.9
-"""The lease is at most this share of the shortest command timeout. A timeout must be longer than the lease."""
+"""The lease is at most this fraction of the shortest command timeout, because a timeout must be longer than the
+lease."""
 
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
@@ -80,8 +85,8 @@ NO_EARLY_NEWS = (
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
 CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
-"""podman, lxc and systemd-nspawn set this variable for the first process of a container. Other processes inherit it
-unless a program clears it."""
+"""podman, lxc and systemd-nspawn set this variable for the first process of a container. The other processes of the
+container inherit the variable, unless a program clears it."""
 
 
 class Status:
@@ -106,10 +111,12 @@ class Status:
         self._logged_missing = ""
         self.ever = False
         self.fault = ""
-        """Why the supervisor does not do its job, or empty if it does. While it is set, the watchdog gets no beats."""
+        """Why the supervisor does not do its job. Empty if it does. While this is not empty, no watchdog beats are
+        sent."""
 
     def missing(self, *, stopping: bool) -> str:
-        """What motion still waits for, as text; empty if nothing. `stopping`: True while a stop is not answered yet."""
+        """Why motion can't be enabled yet, as text. Empty if motion can be enabled. `stopping`: True while a stop is
+        neither answered nor written."""
         absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
         if not absent and not self._handover.complete():
             return "the port"
@@ -119,8 +126,8 @@ class Status:
         return ", ".join(absent) or ("" if carried_out else "a stop being carried out")
 
     def publish(self, missing: str) -> bool:
-        """Publish the process table when it has changed, and the ready word. Returns True once, when the service is
-        ready for the first time."""
+        """Publish the ready word, and the process table if it has changed. `missing`: why motion can't be enabled yet.
+        Returns True when the service is ready for the first time."""
         processes = {
             child.row.name: {
                 "pid": child.pid,
@@ -145,7 +152,8 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Log what motion waits for if the wait gets long, and log the end of that wait. Call it once per turn."""
+        """If motion can't be enabled for a long time, log the reason, and log when motion can be enabled again.
+        `missing`: the reason, or empty. Call this once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -159,8 +167,8 @@ class Status:
             self._logged_missing = ""
 
     def notify_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
-        """Send the status line and the watchdog beat. `missing`: what motion waits for. `owed_since_ns`: since when a
-        stop is owed (see fault())."""
+        """Send the status line and the watchdog beat to the service manager. `missing`: why motion can't be enabled
+        yet. `owed_since_ns`: since when a stop is owed (see fault())."""
         if not self.notify.active or now_ns - self._notified_ns < NOTIFY_EVERY_NS:
             return
         self._notified_ns = now_ns
@@ -176,7 +184,7 @@ class Status:
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
-    """Why the supervisor does not do its job, in words; empty if it does. Pure.
+    """Why the supervisor does not do its job, as text. Empty if it does. Pure.
 
     `killed_ns`: for each process that was killed and still exists, when it was killed. `owed_since_ns`: since when a
     stop is neither answered nor written although the port is open; 0 if no stop is owed.
@@ -190,8 +198,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """A text saying that the wheels turn although zero is commanded. Empty unless telemetry's record, `entry`, is fresh
-    and says so. Pure."""
+    """A text which says that the wheels turn although zero is commanded. Empty if they don't turn, or if nothing new is
+    known about them. `entry`: telemetry's record about the wheels. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])
@@ -200,9 +208,11 @@ def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str
 
 
 def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
-    """The service's status in one line. Pure. `missing`: what motion waits for. `down`: the processes that died too
-    often. `latched`: the cause of the latched stop. `gate`: the state that the gate has published. Each is empty if
-    there is none."""
+    """The service's status in one line. Pure.
+
+    `missing`: why motion can't be enabled yet. `down`: the names of the processes that died too often. `latched`: the
+    cause of the latched stop. `gate`: the state that the gate has published. An argument is empty if it does not apply.
+    """
     until = "for a minute" if down == layout.GATE else "until a reset"
     stays = f"; {down} died too often and is down {until}" if down else ""
     if latched:
@@ -218,8 +228,8 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
 
 
 def advice(*, realtime: bool, managed: bool) -> str:
-    """What to do if the machine runs this process late, with the command in backquotes. `realtime`: True if the process
-    has real-time rights. `managed`: True if a service manager started it."""
+    """What to do if the machine does not run this process in time, with the command in backquotes. `realtime`: True if
+    the process has real-time rights. `managed`: True if a service manager started it."""
     if realtime:
         return GRANTED
     # Imported only if rights were refused.
@@ -233,8 +243,8 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """These settings, with a lease that fits this process's rights. If the user chose the lease (its key is in
-    `chosen`), it stays as it is."""
+    """These settings, with a lease that fits the rights of this process. `chosen`: the keys of the settings that the
+    user has chosen. A lease that the user has chosen is not changed."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -248,7 +258,8 @@ def lease_without_rights(settings: Settings) -> float:
 
 
 def cost(lease_s: float) -> str:
-    """What the service loses without real-time rights because its lease is longer, as a clause of a sentence."""
+    """What the service loses without real-time rights, as part of a sentence. With a longer lease, hangs are noticed
+    later. With a short lease, the robot may be stopped just because a process ran late."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
@@ -257,16 +268,16 @@ def cost(lease_s: float) -> str:
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
-    """The rights that this process did not get, each with a text for people. `granted`: the heartbeat bits of the
-    rights that it has. `lease_s`: the lease in use, s."""
+    """The rights that this process did not get, as (the right, a text for people). `granted`: the heartbeat bits of the
+    rights that the process has. `lease_s`: the lease in use, s."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]
 
 
 def own_unit() -> str:
-    """The systemd unit of this process, from its control group. Returns the placeholder UNIT if the group names no
-    unit."""
+    """The name of the systemd unit in which this process runs, from its control group. Returns the placeholder UNIT if
+    it runs in no unit."""
     try:
         with open(CONTROL_GROUP, encoding="utf-8", errors="replace") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]

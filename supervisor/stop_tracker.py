@@ -1,7 +1,8 @@
-"""StopTracker: logs each stop, and follows the newest one until its proof is complete, using the board's answers and
-the IMU's verdict. It also watches the link to the board.
+"""StopTracker: logs each stop, and collects the proof of one stop at a time from the board's answers and the IMU's
+verdict. It also watches the link to the board.
 
-stops.py and proof.py decide what counts as proof. This file reads the facts for them from shared memory.
+The files stops.py and proof.py decide what counts as proof. This file reads the facts for these decisions from shared
+memory.
 """
 
 from __future__ import annotations
@@ -45,18 +46,19 @@ UNCONNECTED = {
     LINK_SILENT: "the board has stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop "
     "can't tell which: use the POWER SWITCH, then check its cable",
 }
-"""What happened to the link, and what to do, for people."""
+"""For each bad state of the link, a text for people: what has happened, and what to do."""
 
 
 class StopTracker:
-    """Logs stops, tracks the newest one until its proof is complete, and watches the link. Call poll() once per turn.
-    `heard` is (sent_ns, answered_ns) of the newest answered ping."""
+    """Logs stops, tracks a stop until its proof is complete, and watches the link to the board. Call poll() once per
+    turn. `heard` is (sent_ns, answered_ns): when the newest bytes that the board has acknowledged were sent, and when
+    the acknowledgement came."""
 
     def __init__(
         self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool], moves: Callable[[], bool]
     ) -> None:
-        """`holds`: returns True while the kernel holds bytes for the board. `moves`: returns True while motion is
-        enabled."""
+        """`holds`: returns True while bytes for the board are still in the kernel. `moves`: returns True while motion
+        is enabled."""
         self._run = run
         self._holds, self._moves = holds, moves
         port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
@@ -72,7 +74,7 @@ class StopTracker:
         self._after_ns = run.settings.ns("still.after_s")
         self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
-        """The pids of the user's commands that still run, oldest first."""
+        """The pids of the user's commands (still.command) that are still running, oldest first."""
         self._command_ran = False
         self.wheel_servos = WheelServos(run.settings, telemetry.latest_reader("health"))
         self._seen_answer = self._seen_proof = 0
@@ -82,18 +84,20 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The state of the link for which motion was stopped. It is cleared when motion has ended."""
+        """If motion was stopped because of the link, the reason. It is cleared when motion has ended or the link is
+        good again."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
-        """The causes that have been logged since the stop was latched."""
+        """The causes that have been logged since the latched stop was latched."""
 
     def latched(self, stop: Stop) -> None:
-        """Record a newly latched stop. It is the first one since a reset, so every other cause will be logged again."""
+        """Record that a stop was latched. From now on, each other cause is logged again when it occurs."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
         """True if this cause has not been logged since the stop was latched. Several processes may notice the same
-        cause, and it should be logged once. At most 64 causes are remembered, so an older cause may be logged twice."""
+        cause, but it should be logged only once. At most 64 causes are remembered. If there are more, a cause may be
+        logged twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -102,14 +106,15 @@ class StopTracker:
         return True
 
     def also(self, stop: Stop) -> None:
-        """Log a cause that came together with another one, or before the stop for another one was answered."""
+        """Log a stop that came together with another stop, or while another stop was not answered yet. One burst serves
+        both stops."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
             self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
-        """Log a stop once it is known which process wrote it, or that it could not be written. `ending`: True for the
-        stop at the end of the service."""
+        """Log a stop. Called when it is known which process wrote the stop, or that it could not be written. `ending`:
+        True if the stop was written because the service ends."""
         self._track(stop)
         # The kernel holds every burst for a moment. But a burst that queues behind bytes which the board has not taken
         # for a long time never gets out.
@@ -144,8 +149,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Track the proof of this stop from now on, unless a stop is latched already. People look for the latched stop,
-        so later proof belongs to that one."""
+        """Track the proof of this stop from now on, unless an earlier stop is still latched. People look at the latched
+        stop, so the proof must be about the latched stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -156,9 +161,9 @@ class StopTracker:
         self._publish(self._last)
 
     def poll(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
-        """Check the newest stop's proof and the link once. Returns the stops that are needed because of what was found.
-        `listening`: True if telemetry, which decodes the board's answers, and the port owner, which sends pings, both
-        run. `held_up`: True if the machine holds up one of those two or this process."""
+        """Look for new proof of the tracked stop, and check the link. Returns the stops that must be written because of
+        the result. `listening`: True if the port owner, which sends pings, and telemetry, which decodes the answers,
+        both run. `held_up`: True if the machine holds up the port owner, telemetry or the supervisor."""
         self._read_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
@@ -179,7 +184,7 @@ class StopTracker:
         return stops
 
     def _check_link(self, now_ns: int, *, listening: bool) -> None:
-        """Check whether the board still hears, and whether it still reports anything."""
+        """Check whether the board still hears, and whether it still sends reports. `listening`: see poll()."""
         link, newest_ns = self.link, self._asked.get()
         if not self._latch.stop:
             link.cleared()
@@ -199,9 +204,13 @@ class StopTracker:
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """The stop for a board that is deaf or silent while motion is enabled; otherwise empty. It is returned once,
-        and again if motion is enabled again, which may happen before anyone knows about the board. The robot is stopped
-        even if the machine may explain the silence, because nobody knows what the board heard."""
+        """The stop that is needed because the board is deaf or silent while motion is enabled, in a list. Otherwise the
+        list is empty. The stop is returned once, and once more each time someone enables motion although the board is
+        deaf or silent.
+
+        The robot is also stopped if the board seems silent only because the machine held up the service. Nobody knows
+        then which commands the board has heard.
+        """
         kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.pop_unheard()
         if unheard_ns and self._moves():
             return [Stop(now_ns, layout.SUPERVISOR, causes.NOT_HEARD(unheard_ns // MS))]
@@ -214,8 +223,8 @@ class StopTracker:
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
-        """Record that a port was opened again, perhaps with a different board. `written_ns`: when the supervisor wrote
-        its burst to that port. `sure`: True if the device there is certainly the board."""
+        """Record that the lost port was opened again. The device may be a different board. `written_ns`: when the
+        supervisor wrote the burst to this port. `sure`: True if the device is certainly the board."""
         last, before = self._last, self.link.state
         self.link.opened(now_ns, sure=sure)
         if last is None or written_ns <= last.stop.t_ns:
@@ -226,9 +235,9 @@ class StopTracker:
             self._publish(last)
 
     def _read_answer(self) -> None:
-        """Read what telemetry has learned about the written bytes that the board has handled (board/handled.py). An
-        answered ping only proves the link. A stop is acknowledged by the record `proved`, because some boards must also
-        report that they obey zeros."""
+        """Read which of the written bytes the board has handled, as telemetry has found out (board/handled.py). An
+        answered ping proves only that the link works. A stop is acknowledged only by the record `proved`, because some
+        boards must also report that they obey zeros."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -244,7 +253,8 @@ class StopTracker:
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after the stop. A reset clears this, because a person has taken over."""
+        """True if the wheels still move after the stop `last` although they should be still, so the stop must be
+        written again. A reset ends this, because a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -268,9 +278,9 @@ class StopTracker:
         return unstill
 
     def _run_command(self) -> None:
-        """Run the user's command (still.command). It runs once per stop, and may run again after the wheels were seen
-        still or a person has reset. If the command of an earlier stop has not ended yet, it hangs, so it is killed
-        first."""
+        """Run the user's command (still.command) because the wheels still move after a stop. The command normally runs
+        once per stop. After the wheels were seen still, or after a reset, it may run again. If a command from an
+        earlier stop is still running, it hangs, so it is killed first."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)
@@ -307,9 +317,9 @@ class StopTracker:
         self._run.events.log("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
-        """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0 if it
-        did not. `link`: the link's state (proof.py). `written`: True if the kernel took the second stop. `sent`: True
-        if the kernel has passed the second stop on to the board."""
+        """Log the end of the service, which writes two stops. `heard_ns`: how long after the first stop the board
+        acknowledged it; 0 if it did not. `link`: the state of the link (proof.py). `written`: True if the kernel
+        accepted the second stop. `sent`: True if the bytes of the second stop have also left the kernel."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"

@@ -1,7 +1,7 @@
-"""A stop: a cause, from the moment when a process notices it until the burst for it is written. Pure.
+"""A stop, from the moment when a process notices its cause until the stop burst is written. Pure.
 
-If no process could write the stop, the process that gets the port back writes it later. What the stop achieved is in
-proof.py.
+If the port is lost, no process can write the burst. It is then written as soon as the port is open again. What is known
+about the effect of a stop is in proof.py.
 """
 
 from __future__ import annotations
@@ -22,16 +22,20 @@ WRITERS = (
     (WAITS, BY_PORT_OWNER, BY_SUPERVISOR),  # the port owner has written a burst recently enough
     (WAITS, BY_SUPERVISOR, BY_SUPERVISOR),  # there is no such burst, or the port owner could not write
 )
-"""Which process has written a stop, or must write it. The rows are what is known about its burst. The columns are
-whether the port owner may still answer the epoch, has answered it, or is late or dead."""
+"""Which process has written a stop, or must write it.
+
+The row depends on what is known about the burst, as the comments at the rows say. The column depends on the port owner:
+it may still answer the new epoch with a stop, or it has answered, or it is late or dead.
+"""
 SOONER_NS = 20_000_000
-"""The port owner may have noticed the same cause this much earlier, so its burst counts for a cause noticed up to this
-much later. An older burst does not count."""
+"""The port owner may notice a cause earlier than the other process that reports it. So a burst that the port owner
+wrote up to this long before the report counts as the stop for this cause. An older burst does not count."""
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """Replace a cause that only says that the supervisor was silent, if a signal suspended the supervisor. Other causes
-    stay as they are. `suspended_ns`: how long it was suspended, or 0."""
+    """If the cause is only that the supervisor was silent, and a signal had suspended the supervisor, return a cause
+    that says so. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was suspended; 0 if it
+    was not."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
@@ -43,25 +47,28 @@ class Stop(Data):
     noticed_by: str
     cause: Cause
     written_ns: int = 0
-    """When its burst was handed to the kernel. 0 if that is not known, or if the burst was not written."""
+    """When the burst for this stop was handed to the kernel. 0 if no burst was written, or if the time is not known."""
     answer_by_ns: int = 0
-    """Until when the port owner may answer the stop."""
+    """The port owner may answer the stop until this time. After that, the supervisor writes the burst."""
     by: str = ""
-    """The process that wrote the stop; empty until it is answered."""
+    """The process that wrote the stop. Empty until this is decided."""
     epoch: int = 0
     behind: Stop | None = None
-    """The stop that was already latched when this one was answered, or None if this one is latched."""
+    """If another stop was already latched when this stop was written, the latched stop. None if this stop itself is
+    latched."""
 
     def fields(self) -> dict[str, str | int]:
-        """The fields for an event: the cause, and the time, which distinguishes stops with the same cause."""
+        """Fields for an event about this stop: the cause, and the time when it was noticed. The time distinguishes
+        stops with the same cause."""
         return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Find out which process has written the stop (see WRITERS). Returns (process, time of the burst in ns), with
-        time 0 if the supervisor must write it now. Returns None if it is still time to wait.
+        """Find out which process has written the stop (see WRITERS). Returns (the process, when it wrote the burst in
+        ns). If the time is 0, the supervisor must write the burst now. Returns None if the port owner may still write
+        the burst.
 
-        `answered`: the port owner has answered the epoch. `may_answer`: it is alive and its time is not over.
-        `port_owner_ns`: when it last wrote a burst.
+        `answered`: True if the port owner has answered the epoch. `may_answer`: True if the port owner is alive and
+        still has time to answer. `port_owner_ns`: when the port owner last wrote a burst.
         """
         own = self.noticed_by == layout.PORT_OWNER
         recent = not own and port_owner_ns >= self.t_ns - SOONER_NS
@@ -72,8 +79,8 @@ class Stop(Data):
         return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)
 
     def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
-        """Record which process wrote the stop and when (0 if it could not be written). `latched`: the stop that was
-        latched at that time."""
+        """Record which process wrote the stop, and when (0 if it could not be written). `latched`: the stop that was
+        latched when this stop was written. `epoch`: the epoch at that time."""
         self.by = by
         self.written_ns = written_ns
         self.behind = None if latched is self else latched  # a stop that refers to itself would never be freed
