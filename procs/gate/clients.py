@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from typing import Any
 
 News = tuple["Slot", str, tuple[object, ...]]
-"""One thing that is new: a slot with a session, the name of one of its records, and the record's time (ns) and values.
-If the session has ended, the name is OVER."""
+"""Something new from a client: its slot, the name of a record, and the record's time (ns) and values. If the client's
+session has ended, the name is OVER instead."""
 OVER = "gone"
 """Used instead of a record's name when a session has ended. The value is True if the session said goodbye."""
 ONCE = ("command", "request", "arm_goal", "aux")
-"""The records that the gate acts on only once, when they are new."""
+"""The records that the gate acts on only once. It reads the other records at every look, even if they have not
+changed."""
 
 
 def newest_number(reader: LatestReader) -> int:
@@ -55,7 +56,7 @@ class Slot:
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
-        """The session that held the slot before. Its records no longer count."""
+        """The last session that has left this slot. Records of that session no longer count."""
         self.life: Lifeline | None = None
         self.session = 0
 
@@ -95,7 +96,7 @@ class Slot:
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record with this name, like latest(), unless this method has returned it before."""
+        """The newest record with this name, like latest(). None if this method has already returned that record."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -116,8 +117,8 @@ class Slot:
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """The session's last report for people: when it came, what the program sees, and what is wrong. None if there
-        is none."""
+        """What the client last reported about itself, for people: when the report came, what the program sees, and what
+        is wrong. None if the session has reported nothing."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)

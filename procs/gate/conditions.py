@@ -23,8 +23,8 @@ def believed_ns(t_ns: int, now_ns: int) -> int:
 
 class ScanGate:
     """The obstacle sensor as a condition for motion. Programs can move the wheels only while the sensor delivers scans;
-    people who drive by hand don't need the sensor. A silent sensor latches nothing. When it delivers again, motion
-    resumes by itself, starting from zero."""
+    people who drive by hand don't need the sensor. A silent sensor latches nothing. When the sensor delivers scans
+    again, motion resumes by itself, starting from zero."""
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
@@ -45,9 +45,10 @@ class ScanGate:
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """The note for people when the sensor's silence starts or stops blocking the wheels; otherwise None. It
-        includes the age of the last scan. While something else blocks the wheels, the sensor counts as back only once
-        it delivers again. `blocks`: True if the silent sensor blocks the wheels."""
+        """The note for people when the sensor's silence begins to block the wheels, or when the sensor is back. None if
+        neither has happened. The note includes the age of the last scan. If the wheels become blocked for another
+        reason, the sensor is not reported as back until it delivers a scan. `blocks`: True if the wheels are blocked by
+        the sensor's silence."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -86,20 +87,20 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are present, if motion needs one (attend.required). Each is known by the session that reports
-    the operator. What counts is the time when the operator's device proved its presence, not when the proof arrived."""
+    """The operators who are present, if motion needs an operator (attend.required). Each session reports one operator.
+    A proof of presence counts from the time when the operator's device made it, not from the time when it arrived."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
         self._lease_ns = lease_ns
         self._there: dict[int, tuple[int, str]] = {}
         self._last = ("", DEPARTED)
-        """The last operator, and how that operator's presence ended."""
+        """The operator whose presence ended last, and how it ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """Record that an operator was present at `t_ns`. A proof older than this operator's last one, or older than the
-        lease, changes nothing. A session reports one operator at a time, so if it names a new operator, the previous
-        one has left."""
+        """Record that an operator was present at `t_ns`. A proof of presence is ignored if it is older than the lease,
+        or older than an earlier proof of the same operator. A session reports one operator at a time, so if it names a
+        new operator, the previous one has left."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
@@ -113,7 +114,8 @@ class Attendance:
             self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
-        """The names of the operators who are present. Operators who were not heard for too long are removed."""
+        """The names of the operators who are present. Each operator whose last proof is older than the lease is removed
+        first."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]
@@ -121,7 +123,7 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """When the last operator will no longer count as present, unless a new proof arrives before."""
+        """When the last operator will no longer count as present, unless a new proof arrives earlier."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:

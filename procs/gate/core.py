@@ -7,8 +7,8 @@ While the wheels are blocked, the reason is the first of these that applies:
     let go first      a source has commanded a velocity since before motion was enabled
     cmd timeout       no source has a command that is younger than its timeout
     no scan           the source that drives is not manual, and the obstacle sensor is silent
-While they are blocked, the velocity is zero at once, without a ramp. Otherwise the velocity moves toward the clamped
-command by at most the acceleration times the elapsed time. That time has an upper limit, so a late tick makes no jump.
+While they are blocked, the velocity is set to zero at once, without a ramp. Otherwise it moves toward the clamped
+command by at most the acceleration times the elapsed time. Even after a late tick, at most two periods count.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
 MAY_MOVE = "motion enabled"
 LEAST_LIMIT = 5
-"""The lowest speed limit that is allowed, percent. At a lower one the robot would stop without anyone knowing why."""
+"""The lowest speed limit that is allowed, percent. With a lower limit the robot would hardly move, and nobody would
+know why."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
@@ -46,7 +47,8 @@ class GateCore:
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
     ) -> None:
         self.arm_waits = not arm_beside_wheels
-        """True if the arm may move only while motion is disabled, because this board can't do both."""
+        """True if the arm may move only while motion is disabled, because the board can't move arm and wheels
+        together."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -63,8 +65,8 @@ class GateCore:
         self.enabled_ns = 0
         """When motion was enabled, or 0 while it is disabled."""
         self.latch: Cause | None = None
-        """The latched cause, from the supervisor's record. After the gate's own stop it is the gate's cause until the
-        supervisor has answered."""
+        """The latched cause, or None. Normally this is the cause that the supervisor has published. After a stop by the
+        gate itself, it is the gate's cause until the supervisor has answered."""
         self._stopped_in = 0
         """The epoch in which the gate last stopped by itself. The supervisor answers such a stop with a newer epoch."""
         self.epoch = 0
@@ -72,7 +74,8 @@ class GateCore:
         self.velocity = REST
         self.speeds = kinematics.rest
         self.capped = ""
-        """How an unconfirmed scale limits the speed, in words. Empty if the scale is confirmed."""
+        """How the speed is limited while nobody has confirmed the scale of the board's speeds, in words. Empty if the
+        scale is confirmed."""
         self.notes: list[Note] = []
         """Notes for people, in order. The gate's loop passes them on and empties this list."""
         self._losses = DriverLosses(now_ns)
@@ -80,8 +83,9 @@ class GateCore:
         self._driver_death = settings.text("gate.driver_death")
         self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
-        """The last command of each session that has sent one. If such a session dies, it counts as a driver's death,
-        even if it waits or has fallen silent, because its program would drive again once it is restarted."""
+        """The last command of each session that has sent one. If such a session dies, that counts as the death of a
+        driver, even if its source only waits or has fallen silent. The reason is that its program would drive again
+        after a restart."""
         self._movers: set[int] = set()
         """The sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
@@ -171,9 +175,9 @@ class GateCore:
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
-        """Check once per step whether the driver has just fallen silent while the wheels turned. This is noted.
-        Depending on the setting gate.driver_silence, it also disables motion or returns the cause to stop for. A person
-        who lets go of a key causes neither."""
+        """Check once per step whether the driver has just fallen silent while the wheels turned. If it has, the setting
+        gate.driver_silence decides what happens: only a note is added, or motion is disabled and a note is added, or
+        the cause to stop for is returned. If a person drives by hand and lets go of a key, only a note is added."""
         if not any(self.velocity) or self.sources.driving(now_ns):
             return None
         driver = self.sources.last_driver()
@@ -252,8 +256,8 @@ class GateCore:
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
-        """Limit all speeds to this percentage of the settings' speeds. It takes effect at the next step, and along the
-        ramps."""
+        """Limit all speeds to this percentage of the speeds in the settings. From the next step on, the velocity
+        follows its ramps down or up to the new limit."""
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
@@ -311,8 +315,8 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """A text that says what helps if a held program never sends zero. Empty for the gamepad, because a person can let
-    go of its stick."""
+    """A text that says how to go on if a held program never sends zero. `held`: the programs whose commands don't count
+    until they send zero or pause. The text is empty for the gamepad, because a person can let go of its stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

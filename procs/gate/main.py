@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from typing import Any
 
 PUBLISH_NS = 75_000_000
-"""The state is published when it changes, and at the first tick when it is this old. So it comes at 10 Hz or faster.
-With 100 ms, a tick that comes a little early would leave it to the next tick, and every other state would come after
-120 ms (measured)."""
+"""The state is published when it changes, and also when it is this old, so that it comes at 10 Hz or faster. Its age is
+checked at each tick. With 100 ms, a tick that comes a little early would find the state slightly too young. The state
+would then be published one tick later, and every other state would come after 120 ms (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
 """The records of a client in the order in which they are read. Records that may forbid a command come before the
 command."""
 MOST_RINGS = 20
-"""How many wake-ups by clients are handled between two ticks. This is one per millisecond, which is more than eight
-clients that command at 100 Hz need."""
+"""How many wake-ups by clients are handled between two ticks. This is one wake-up per millisecond. Eight clients that
+command at 100 Hz need fewer."""
 AUX_EVERY_NS = 10 * MS
 """The shortest time between two client frames that are not motion, so that a flood of them can't fill the line. A frame
 that comes sooner is dropped."""
@@ -136,7 +136,8 @@ class Gate:
         self.loop.watch(self._client_bell, READ)
 
     def follow_latch(self) -> None:
-        """Read the latch that the supervisor has published. A gate that was restarted does this too."""
+        """Read the latch that the supervisor has published. This is also done at the start, because a gate may be
+        restarted while a stop is latched."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -177,8 +178,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """True if a tick every other period is enough. That is so because a new client, or one that wants something
-        new, rings a bell, and because a client's death is reported at once."""
+        """True if one tick in two periods is enough. This works because a client rings a bell when it joins or wants
+        something new, and because the kernel reports a client's death at once."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -305,7 +306,8 @@ class Gate:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _hear_telemetry(self, now_ns: int) -> None:
-        """Handle the gamepad's sticks, and telemetry's requests. These are resets, and frames that are not motion."""
+        """Handle the gamepad's sticks, and telemetry's requests. Telemetry requests resets, and sends frames that are
+        not motion, for example for the buzzer."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -358,8 +360,9 @@ class Gate:
         return way or self._allow_motion(now_ns)
 
     def _allow_motion(self, now_ns: int) -> Reply:
-        """Enable motion. First read all new commands, because a client's requests are read before its commands. So a
-        program that is commanding at this moment is held even if its command had not been read yet."""
+        """Enable motion. First read all new commands, because the gate normally reads a client's requests before its
+        commands. So if a program is already commanding motion, it can't drive off: its commands don't count until it
+        sends zero or pauses."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
@@ -391,7 +394,8 @@ class Gate:
         return refused(IS_LATCHED, done)
 
     def _command(self, command: Command, now_ns: int) -> None:
-        """Handle a new command. It moves the wheels at once and does not wait for the next tick."""
+        """Handle a new command. If the command is allowed, the wheels follow it at once and don't wait for the next
+        tick."""
         self._box.command(command)
         if fault := self.core.accept(command, now_ns):
             self._stop(fault, now_ns)
@@ -426,8 +430,9 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and at least every PUBLISH_NS. The time of the last scan changes at
-        every tick, but alone it does not cause a new state, because each reader would have to unpack that state."""
+        """Publish the state when it has changed, and when it is PUBLISH_NS old. The time of the last scan changes at
+        every tick. But if only this time has changed, the state is not published, because each reader would have to
+        unpack the whole state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

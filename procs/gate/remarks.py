@@ -26,15 +26,15 @@ VERBS = {
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
-"""The shortest time between two notes about requests, once MOST_AT_ONCE are used up. So a client that repeats a request
-endlessly causes five notes per second, not a thousand."""
+"""The shortest time between two notes about requests, once MOST_AT_ONCE notes were made. So a client that repeats a
+request endlessly causes five notes per second, not a thousand."""
 AGES = ("ms", "s", "min", "h", "day", "days")
 """The units of a length of time in a client's report, as words.span writes them. A regular expression is not used,
 because importing `re` would slow each start of the gate."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""The shortest time between two notes about drivers that fell silent. A program that commands less often than its
-timeout starts and stops the wheels again and again."""
+"""The shortest time between two notes about drivers that fell silent. It is long because a program that commands less
+often than its timeout starts and stops the wheels again and again."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
@@ -81,16 +81,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """The note that motion was disabled because a driver has died. It is never left out, because motion must be enabled
-    again. `moved`: True if the driver's commands have turned the wheels."""
+    """The note that motion was disabled because a driver has died. This note is never left out, because motion stays
+    disabled until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """The note that motion was disabled because a driver has fallen silent. It is never left out, because motion must
-    be enabled again."""
+    """The note that motion was disabled because a driver has fallen silent. This note is never left out, because motion
+    stays disabled until somebody enables it."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -115,8 +115,8 @@ class DriverLosses:
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
-        """The notes about a driver that has died. `parted`: True if it said goodbye, which ends its command
-        normally."""
+        """The notes about a driver that has left or died. `parted`: True if its client said goodbye, so the driver has
+        ended normally."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
         return self._note("driver_gone", driver, "ended or died while it drove, so the wheels are told to stop", now_ns)
@@ -139,8 +139,8 @@ class SelfReports:
         self._budget = Budget(now_ns)
 
     def part(self, session: int) -> None:
-        """Record that a session has said goodbye. Its program may still run: for example, the guard gives back its own
-        slot when a driver needs one. So update() does not report that the program has gone."""
+        """Record that a session has said goodbye, so that update() does not report its program as gone. The program may
+        still run. For example, the guard gives up its slot when a driver needs a slot, but the guard goes on."""
         self._parted.add(session)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
@@ -183,8 +183,8 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
 
 
 def _gone(row: SaidRow, *, parted: bool) -> Note | None:
-    """The note about a session that has ended. After a goodbye it is needed only if the last report said that something
-    is wrong."""
+    """The note about a session that has ended. If the session said goodbye, a note is needed only if its last report
+    named something wrong."""
     _, _, who, _, _, wrong = row
     text = f"{who} has gone"
     if parted:

@@ -22,8 +22,8 @@ UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""For each request that may start motion, the later requests that make the gate refuse it. A later stop makes the gate
-refuse all of these requests."""
+"""For each kind of request that may start motion, the kinds of later requests that replace it. The gate refuses a
+request that was replaced. It also refuses each of these requests if a stop has come since the request was made."""
 
 
 class Request(Data):
@@ -41,7 +41,8 @@ class Request(Data):
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
-        """A record in the client's slot that belongs to the request. See Slot.latest(). None for the gamepad."""
+        """The client's record with this name, which belongs to the request (see Slot.latest()). None for the gamepad,
+        because it has no slot."""
         return self.slot.latest(record) if self.slot else None
 
 
@@ -78,9 +79,10 @@ class Requests:
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Why the request is refused before anything else is checked, or None. A request that could start motion is
-        refused if motion was stopped since it was made, or if a later request replaced it. Any request is refused if
-        its client no longer waits for a reply. A reset is refused if the person has not seen the newest stop.
+        """Check whether a request came too late. Returns the refusal, or None if the request may be carried out. A
+        request that could start motion is refused if motion was stopped since it was made, or if a later request
+        replaced it. Any request is refused if its client no longer waits for a reply. A reset is refused if the person
+        who requests it has not seen the newest stop.
 
         `stopped_ns` and `last`: when the last stop was, and its cause.
         """
@@ -106,8 +108,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Reply to a client at the next write(). A request that its session has replaced by a later one gets no reply,
-        because there is only room for one."""
+        """Reply to a client at the next write(). The client gets no reply if a later request of the same session was
+        answered already, because a slot has room for only one reply."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -116,8 +118,8 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the replies. Call it after the state that results from them was published. Each entry is written behind
-        a barrier (cell.py), so a client that has read a reply never reads an older state."""
+        """Write the replies. First publish the state that results from the requests. Each reply is written behind a
+        memory barrier (cell.py), so a client that has read a reply never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
@@ -133,8 +135,8 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
-        """Queue a reset. It is passed to the supervisor when the resets before it are decided. Of each slot, only the
-        newest reset waits."""
+        """Queue a reset. It is passed to the supervisor when all earlier resets are decided. If a client requests
+        several resets, only its newest reset stays in the queue."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -147,8 +149,9 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True if the supervisor has decided a reset since the last call. If you read the latch after this call, it is
-        at least as new as the decision, because the supervisor writes the decision behind a barrier."""
+        """True if the supervisor has decided a reset since the last call. Read the latch after this call, not before
+        it. The latch is then at least as new as the decision, because the supervisor writes the decision behind a
+        barrier."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
@@ -164,8 +167,8 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """The session and number of the request that the newest whole reply belongs to. Zeros if there is none, or if that
-    reply was only about progress."""
+    """The session and number of the request that the newest reply in this record belongs to. Zeros if no reply was
+    written, or if the newest one only reports progress."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

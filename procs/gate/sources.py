@@ -1,9 +1,9 @@
 """Sources: which programs may command motion, and which of them has priority. Pure.
 
 Each source has a name, a priority and a timeout in the settings. The source with the highest priority that has a fresh
-command drives. A source with a higher priority takes over at once. A lower one gets the wheels back only after the
-higher one was silent for its timeout, and then it starts from zero along the ramp. The gamepad in its drive mode is a
-source above all others. No setting and no client can use its name.
+command drives. A source with a higher priority takes over at once. When the higher source has been silent for its
+timeout, the lower source gets the wheels back, and its velocity starts from zero along the ramp. The gamepad in its
+drive mode is a source that has priority over all others. No setting and no client can use its name.
 
 Enabling motion moves nothing. A source that commands a velocity at that moment is held until it has sent zero or was
 silent for its timeout. So a stick that is still pushed, or a program that never stopped commanding, does not drive the
@@ -63,7 +63,8 @@ class Sources:
         """The command that drove at `_asked_ns`. It is kept because it is needed many times in each turn."""
 
     def allows(self, command: Command) -> bool:
-        """True if a client commands as a source of the settings, or if the gamepad commands as its own source."""
+        """True if the sender of this command may use the command's source. Only the gamepad may use the gamepad's
+        source. Clients may use only the sources of the settings."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
@@ -108,9 +109,10 @@ class Sources:
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """The programs whose last command was motion and is no longer fresh, but came only a short time ago. Each comes
-        with the age of that command, ns. This happens to programs that command less often than their timeout. They are
-        not held, because each pause would release them."""
+        """The programs that commanded motion only a short time ago, but whose last command is no longer fresh, each
+        with the age of that command, ns. Programs that a person drives by hand are left out. A program that commands
+        less often than its timeout can appear here. Such a program is not held, because each of its pauses would
+        release it."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -131,7 +133,8 @@ class Sources:
         self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
-        """The command that drives: the one of the highest source that is fresh and not held. None if there is none."""
+        """The command that drives. Among the sources that have a fresh command and are not held, the source with the
+        highest priority drives. None if there is no such source."""
         if now_ns != self._asked_ns:
             self._asked_ns = now_ns
             free = (self.fresh(source, now_ns) for source in self._rank if source not in self._held)
@@ -143,16 +146,16 @@ class Sources:
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
-        """Find the command that drives from now on (or None). The second value is True if the wheels go from a higher
-        source back to a lower one."""
+        """Find the command that drives from now on (or None). The second value is True if the wheels go from one source
+        back to a source with a lower priority."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """The sources for people, the highest first. There is a row for each source with a fresh command, held or not.
-        The source that drove last has a row too if it fell silent while the wheels turned."""
+        """A table of the sources for people, the highest priority first. Every source with a fresh command has a row,
+        even while it is held. The source that drove last also has a row if it fell silent while the wheels turned."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

@@ -1,4 +1,4 @@
-"""Turning: notices from the board's reports that the wheels turn although motion is enabled and zero is commanded."""
+"""Turning: notices from the board's reports that the wheels turn while motion is enabled but zero is commanded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ class TurningWatch:
         commanded."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """Since when motion has been enabled and zero commanded, or 0 if that is not so."""
+        """Since when motion has been enabled while zero is commanded. 0 if motion is disabled, or if a velocity is
+        commanded."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
         """The reason why motion must be disabled, or empty if there is none. `idle`: True if motion is enabled and zero

@@ -1,11 +1,11 @@
 """The gate's decisions about the arm. Pure: the time and everything that has happened are arguments; frames for the
 servos and texts are results.
 
-The arm moves only while motion is disabled and no stop is latched. On a board that can move arm and wheels together, it
-may also move while motion is enabled. A stop takes the arm from the client that moves it, and so does an enable. A
-movement is streamed: each joint gets one short move of arm.period_s after another, and each frame has the moves of a
-few servos. So if the gate dies, the arm stops at the end of its last move. A joint that was stopped before its goal is
-read again before it moves.
+The arm moves only while motion of the wheels is disabled and no stop is latched. If the board can move arm and wheels
+together, the arm may also move while motion is enabled. A stop takes the arm from the client that moves it, and so does
+an enable. A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that lasts
+about one period. Each frame has the moves of a few servos. So if the gate dies, the arm stops at the end of its last
+move. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ SERVICE = 0
 TORQUE_APART_NS = 4_000_000
 """The shortest time between two frames that switch a servo's torque on or off."""
 STEPS_APART_NS = 1_000_000
-"""The shortest time between two steps, so that a step which has more work to do does not keep the gate awake."""
+"""The shortest time between two calls of step(). Without this pause, an arm that has more work to do would keep the
+gate awake all the time."""
 NEAR = 0.5
-"""A trajectory counts as finished when each joint is this close to its end, in pulses. A frame can't express less."""
+"""A trajectory counts as finished when each joint is this close to its end, in pulses. A frame has whole pulses, so it
+can't bring a joint closer."""
 LOST_NS = 2_000_000_000
-"""If a trajectory is not finished this long after it should be, it has failed."""
+"""If a trajectory takes longer than planned by this much, it has failed."""
 FIND_NS = 4_000_000_000
 
 
@@ -52,26 +54,27 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """The sessions whose stream of goals was ended by a stop or an enable, but which still send goals. The value is
-        the time of the session's last goal."""
+        """The sessions that still send goals although a stop or an enable has ended their stream. The value is the time
+        of the session's last goal."""
         self._torque_ns = 0
         """When the servos' bus is free again after the last torque command."""
         self.due_ns = now_ns
-        """When step() must be called again, unless something happens before. Each step sets it to a later time."""
+        """When step() must be called next, even if nothing happens until then. Each call sets a later time."""
         self._left: dict[Joint, float] = {}
-        """The last goal of each servo that moves on to its goal by itself (ServoBus.holds_by_goal), until the servo is
-        known to have arrived."""
+        """For servos that move on to their last goal even after a stop (ServoBus.holds_by_goal): the last goal of each
+        such servo, until the servo is known to have arrived."""
         self.letting_go: list[Joint] = []
         """The joints whose torque must still be switched off."""
         self.active_ns = 0
-        """When the arm was last moved, or asked to move. 0 if never, or if its torque was switched off since then."""
+        """When the arm was last moved, or asked to move. 0 if there is nothing to tuck: nobody has used the arm, its
+        torque is off, or it was sent to its tuck pose."""
         self.released = False
         self.refused = ""
-        """Why the last goal of a stream was not accepted. Empty if it was."""
+        """Why the last goal of a stream was not accepted. Empty if it was accepted."""
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """The current trajectory, or None if there is none or it is over."""
+        """The trajectory that the arm follows. None if no trajectory was begun, or if the last one is over."""
         return self._trajectory if self._trajectory and not self._trajectory.done else None
 
     @property
@@ -80,14 +83,16 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """The name of another client whose goal counts at the moment. Empty if there is none."""
+        """The name of the client whose goal or trajectory counts at the moment. Empty if that client has this
+        `session`, or if no client's goal counts."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """True if the arm follows a goal of this session, or would follow it if nothing forbade that."""
+        """True if the current trajectory or the newest goal of a stream comes from this session, even if the arm can't
+        follow it."""
         return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
@@ -95,7 +100,7 @@ class ArmCore:
 
     def accept(self, goal: Goal, closed: str, now_ns: int) -> None:
         """Accept a goal of a stream, or set `refused` to the reason why not. The caller must have checked that no other
-        program sends goals. `closed`: why the arm accepts no goals at the moment; empty if it does."""
+        program sends goals. `closed`: why the arm accepts no goals at the moment; empty if it accepts them."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
         self.refused = self._shut(goal, closed) or check(goal.ends)
@@ -112,8 +117,9 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Why no goal of this stream counts now; empty if goals count. If a stream continues while a stop is latched
-        and then reset, the reset must not move the arm. A person who holds a key must first let go of it."""
+        """Why this goal of a stream does not count now. Empty if it counts. A client may go on sending goals while a
+        stop is latched and reset. The reset must not move the arm, so the client's goals count again only after a
+        pause. For example, a person who holds a key must first let go of it."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -124,8 +130,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. A client that moved the arm before loses it, and gets the reason `why`. Returns True if a
-        stop must be written, like drop()."""
+        """Begin a trajectory. If another client moved the arm until now, its movement is ended, and `why` is the reason
+        that this client gets. Returns True if a stop must be written because the arm may still be moving."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -136,8 +142,8 @@ class ArmCore:
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """The trajectory to a pose of the settings, which can be passed to execute(). `purpose`: drive or tuck. None if
-        no joint is part of the pose."""
+        """A trajectory to the drive pose or to the tuck pose (`purpose`), for execute(). None if the settings give no
+        joint a position in this pose."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -146,7 +152,7 @@ class ArmCore:
 
     def drop(self, why: str, cause: Cause | None = None) -> bool:
         """Forget all goals. Returns True if a stop must be written because the arm may still be moving. `why`: the
-        reason for the client. `cause`: the cause of a latched stop, or None."""
+        reason that the client gets for its ended trajectory. `cause`: the cause of a latched stop, or None."""
         was = self.streaming()
         if trajectory := self.trajectory:
             trajectory.finish(why, dropped=True)
@@ -156,10 +162,10 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Forget all goals, like drop(). Call it if a stop is written in any case, because that also ends moves whose
-        goals are forgotten already. If a stream of goals moves the arm, it is ended, unless it comes from the session
-        `but`, and counts again after a pause. Servos that still have torque keep it.
-        """
+        """Forget all goals, like drop(). Call it if you write a stop in any case. The stop also ends a move that still
+        runs after its goal was forgotten. If the arm follows a stream of goals, that stream ends, and its goals count
+        again only after a pause. A stream of the session `but` may continue without a pause. If the torque of some
+        servos was about to be switched off, it stays on."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -171,8 +177,7 @@ class ArmCore:
         self._stream.end()
 
     def forget(self) -> None:
-        """Forget where the joints are, because nobody reads the servos from now on. Each joint is read again before it
-        moves."""
+        """Forget where the joints are, so that each joint is read again before it moves."""
         for joint in self.joints:
             joint.forget()
 
@@ -191,9 +196,9 @@ class ArmCore:
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
-        """Do the next step. Returns (frame, hold). `frame` must be sent now, or is empty. If `hold` is True, the arm
-        must be stopped first, for example because a goal was not renewed. There is at most one frame per step, which
-        limits how long a stop may have to wait."""
+        """Do the next piece of the arm's work, such as a move or a question to a servo. Returns (frame, hold). `frame`
+        must be sent now, or is empty. If `hold` is True, the arm must be stopped first, for example because a goal was
+        not renewed. Each call returns at most one frame, so a stop never has to wait long behind the arm's frames."""
         found = self._go_on(now_ns)
         self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
         return found
@@ -223,9 +228,9 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """The frame that stops joints which lag behind the last goals of an ended stream. It sends each joint to where
-        it is. All of them are stopped one right after another, in as many frames as needed, because nothing can be read
-        while a joint moves."""
+        """The frame that stops joints which lag behind the last goals of an ended stream. It commands each of these
+        joints to the position that was read from it. If one frame has no room for all of them, the next calls return
+        the rest before any servo is read, because nothing can be read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -249,7 +254,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """When there is something to do next. A time in the past means at once."""
+        """When step() has something to do next. A time in the past means at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
@@ -265,7 +270,7 @@ class ArmCore:
         return not self.trajectory and self.drop("not renewed")
 
     def _advance_trajectory(self, now_ns: int) -> list[Joint]:
-        """Begin the next phase of the trajectory if the current one is over. Returns the joints that must be read
+        """Begin the next phase of the trajectory if its current phase is over. Returns the joints that must be read
         before it can continue."""
         trajectory = self.trajectory
         if trajectory is None:
@@ -305,15 +310,16 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Check the end of a trajectory. Each joint is read twice after it has stopped."""
+        """Finish the trajectory once all of its joints have been read since they stopped. It succeeds if the joints are
+        where they must be. Returns the joints that must still be read."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """A text about a joint that is not where it should be, and by how much, from its last reading. Empty if all
-        joints are in place."""
+        """A text that names a joint whose last reading is too far from its position in `ends`, and says how far. Empty
+        if all joints are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -321,7 +327,8 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """The frame that switches on the torque of one joint whose torque may be off. Each call handles one joint."""
+        """The frame that switches on the torque of the first of these joints whose torque may be off. Empty if the
+        servos' bus is not free yet."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -336,7 +343,8 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Begin to stream. From now on each of these joints gets a move in every period."""
+        """Begin to stream moves: from now on, each of these joints gets a move in every period. But if the joints are
+        to follow a trajectory that can't begin at their present positions, the trajectory fails."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -346,8 +354,9 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, returned as in step(). If the arm would hit something, a trajectory ends, but a
-        stream's goal only waits."""
+        """The moves that are due, as (frame, hold) like step(). If the arm would hit something, a trajectory ends. A
+        goal of a stream does not end, but the arm waits where it is. `hold` is returned as it was given, unless a
+        trajectory ends."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -358,7 +367,8 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """The frame that asks moving joints for their positions, if the board has such a frame and it is due."""
+        """The frame that asks moving joints for their positions. Empty if the board has no such frame, or if it is too
+        early to ask again."""
         joints = self._reader.look(now_ns)
         return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
@@ -380,17 +390,19 @@ class ArmCore:
         return ""
 
     def judged(self, purpose: str) -> dict[Joint, float]:
-        """The position that each joint must have in a pose of the settings, for the joints that count for it."""
+        """The position that each joint must have in the pose `purpose` (drive or tuck). Joints that are not judged
+        (Joint.judged) are left out."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
-        """Why the last goal of a stream was not accepted, or can't be followed any further. Empty if it is followed."""
+        """Why the last goal of a stream was not accepted, or why the arm can't go on toward it. Empty if the arm
+        follows the goal."""
         return self.refused or self._stream.blocked
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """The joints that must be read before the trajectory can continue. It fails if they were not read within
-    FIND_NS."""
+    """Returns these joints, because they must be read before the trajectory can continue. If they were not read within
+    FIND_NS, the trajectory fails."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

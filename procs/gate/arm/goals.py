@@ -1,7 +1,8 @@
 """Goals: what clients want the arm to do. Pure.
 
-A trajectory has an end, where the joints are read back. The modes follow and jog are streams of goals that a client
-renews. While there is no trajectory, the newest goal of a stream counts for arm.goal_timeout_s.
+A trajectory has an end. When it is over, the joints' positions are read, to check that the arm has arrived. In the
+modes follow and jog, a client sends a stream of goals that it must renew. While there is no trajectory, the newest goal
+of a stream counts for arm.goal_timeout_s.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ Waypoint = tuple[float, dict[Joint, float]]
 
 
 class Goal(Data):
-    """A goal of a stream. In the mode follow it is a position for each joint, in pulses. In the mode jog it is a rate
-    for each joint, in pulses/s."""
+    """A goal of a stream. In the mode follow, it gives a position for each joint, in pulses. In the mode jog, it gives
+    a rate for each joint, in pulses/s."""
 
     mode: str
     session: int
@@ -44,21 +45,23 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The positions or the rates of the joints."""
+        """The position of each joint in the mode follow, or the rate of each joint in the mode jog. They don't depend
+        on the time."""
         return self.ends
 
 
 class Trajectory:
-    """The positions of joints over time. At the end, the joints are read back. A movement to a pose is a trajectory
-    too."""
+    """The positions of joints over time. At the end, the joints' positions are read, to check that the arm has arrived.
+    A movement to a pose is a trajectory too."""
 
     mode = TRAJECTORY
 
     def __init__(
         self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Waypoint], share: float = 1.0
     ) -> None:
-        """`rows`: the positions at certain times; the positions at the start are read first. If the first row has the
-        time 0, it is reached as fast as `share` allows. `share`: the share of each joint's speed that may be used."""
+        """`rows`: the positions that the joints must have, each with its time. The start is not included, because the
+        start positions are read from the servos. If the first row has the time 0, the joints go there as fast as
+        `share` allows. `share`: how much of its top speed each joint may use, from 0 to 1."""
         self.purpose = purpose
         self.session = session
         self.who = who
@@ -118,7 +121,8 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """A text about a joint that may not turn at its rate (rad/s), with the allowed rate. Empty if all joints may."""
+    """A text that names a joint whose rate (rad/s) is too high, with the highest allowed rate. Empty if all rates are
+    allowed."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -127,8 +131,8 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """A text about a joint that would have to turn too fast between two rows of a trajectory, or about times that do
-    not increase. Empty if there is no such fault."""
+    """A text that names a joint which would have to turn too fast between two rows of a trajectory, or two times that
+    are in the wrong order. Empty if nothing is wrong."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -1,8 +1,9 @@
 """Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
-The firmware does not match answers with questions. It takes a late answer for the answer to the next question, and then
-the question after that succeeds with the value 0. So after an unanswered question the next answer is ignored, a 0 never
-counts, and a position counts only when two readings in a row agree.
+The firmware does not match answers with questions. If the answer to one question comes late, the firmware returns it as
+the answer to the next question. The question after that one then gets the value 0, as if a servo had answered. So the
+reader ignores the first answer after an unanswered question. It believes a position only when two readings in a row
+agree, and it believes a 0 only as the state of the torque.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ APART_NS = SILENT_NS + FRAME_JITTER_NS
 """The shortest time between two questions. The port owner drops a question while an earlier one may still block the
 receiver."""
 WAIT_NS = 40_000_000
-"""How long to wait for an answer. It normally takes a few milliseconds, through the board, the port owner and
+"""How long to wait for an answer. An answer normally takes a few milliseconds, through the board, the port owner and
 telemetry."""
 IDLE_NS = 150_000_000
-"""The time between two questions that nobody waits for."""
+"""The time between two questions while nobody waits for the answers."""
 AGREE = 5
 """How many pulses two readings of a resting servo may differ."""
 LOOKS_APART_NS = 16_000_000
-"""The time between two questions about moving joints, on a board that has such questions. So each of six joints is read
-30 times per second."""
+"""The time between two questions about moving joints, on a board that has such questions. With six joints, each joint
+is read 30 times per second."""
 LOOKED = 3
-"""How many joints each question about moving joints asks about."""
+"""How many joints are read by each question about moving joints."""
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
@@ -50,7 +51,7 @@ class ServoReader:
         """When the next question about moving joints may be asked."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """The joints to ask about now, while joints move. Empty if no such question is due."""
+        """While joints move, the joints to ask for their positions now. Empty if it is too early to ask."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -64,19 +65,19 @@ class ServoReader:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """Record that a servo was moved. No question is asked until it must have stopped."""
+        """Record that a servo was moved. From now on no question is asked until the servo has certainly stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """When the receiver is certainly done with the last question. Until then the port owner passes nothing."""
+        """When the receiver is free again after the last question, even if the servo does not answer."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
         return self._asked_ns + WAIT_NS if self._asked else max(self._next_ns, self._quiet_ns)
 
     def ask(self, wanted: list[Joint], now_ns: int) -> tuple[Joint, int] | None:
-        """The question to ask now, as (joint, what to ask), or None if none is due. `wanted`: the joints whose
-        positions are needed first."""
+        """The question to ask now, as (joint, kind of value). None if it is too early to ask. `wanted`: the joints
+        whose positions are needed first."""
         if self._asked and now_ns >= self._asked_ns + WAIT_NS:
             self._missed(self._asked[0])
         if self._asked or now_ns < self._next_ns or now_ns < self._quiet_ns:
@@ -93,18 +94,21 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """The question to ask when nobody waits for one. It is a position, twice in a row, and then another value."""
+        """The question to ask while nobody waits for an answer, as (joint, kind of value). The reader asks a joint for
+        its position twice in a row, and then for its temperature, torque or supply voltage. After that it asks the next
+        joint."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """End the pause between idle questions, because someone waits for positions from now on."""
+        """Allow the next question soon, because someone waits for positions from now on. This ends the long pause
+        (IDLE_NS)."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> Joint | None:
-        """Record an answer from the board. Returns the joint whose position is known because of it, or None."""
+        """Record an answer from the board. Returns the joint whose position has become known, or None."""
         if self._asked is None or (self._asked[0].servo, self._asked[1]) != (servo, what):
             return None
         joint = self._asked[0]

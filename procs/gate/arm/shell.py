@@ -24,7 +24,7 @@ from failstop.procs.gate.rings import Frames
 
 NOT_IN_POSE = "arm is not in the drive pose"
 REPORT_NS = 200_000_000
-"""How often a client that waits gets a report of the progress."""
+"""How often a client that waits for a trajectory gets a report of its progress."""
 BOX_NS = 100_000_000
 """How often the arm's goal is recorded in the black box while the arm is active."""
 GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
@@ -34,7 +34,8 @@ PAD_PUBLISHER = -1
 
 
 class Waiter(Data):
-    """A client that waits for the end of a trajectory. `enables`: True if the client wants motion enabled after it."""
+    """A client that waits for the end of a trajectory. `enables`: True if the client wants motion of the wheels enabled
+    when the arm has arrived."""
 
     request: Request
     trajectory: Trajectory
@@ -58,7 +59,7 @@ class Arm:
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
-        """The last entry in the black box, and its time."""
+        """The mode and the program that were last recorded in the black box, and when that was."""
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
@@ -97,8 +98,8 @@ class Arm:
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
-        """Record the arm's goal in the black box. This is done when the mode or the moving program changes, and
-        otherwise ten times per second while the arm follows a goal."""
+        """Record the arm's goal in the black box when the mode or the moving program has changed. While the arm follows
+        a goal, the goal is also recorded ten times per second."""
         followed = self.core.followed
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
@@ -132,7 +133,7 @@ class Arm:
 
     def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
         """Accept a goal. Returns the cause to stop for if two programs send goals at the same time, otherwise None. A
-        goal that is sent while the arm accepts none does not count for this."""
+        goal that the arm has refused is not kept, so a later goal of another program is no reason to stop."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.accept(goal, closed, now_ns)
@@ -169,7 +170,8 @@ class Arm:
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Carry out any other request about the arm. Returns the reply, or the cause to stop for."""
+        """Carry out a client's request to move, read or release the arm. Returns the reply, or the cause to stop
+        for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -215,8 +217,9 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Report progress, and at last the result, to the client that waits. If that client wants motion enabled and
-        the arm was read to be in its drive pose, its request is returned; otherwise None."""
+        """Report the progress to the client that waits for a trajectory, and the result at the end. If the client wants
+        motion enabled and the arm is in its drive pose, the client gets no reply yet. Its request is returned instead,
+        so that the caller can enable motion. Returns None in all other cases."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -240,10 +243,10 @@ class Arm:
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
         """Send the arm to its drive pose, because a client wants motion enabled. Returns the reply for the client. When
-        the pose has been read back, answer_waiter() returns the request.
+        the arm has arrived, answer_waiter() returns the client's request.
 
-        Returns None if the settings have no drive pose, so motion may be enabled at once. The arm then stays where it
-        is or, on a board whose arm may move while the wheels do, goes on.
+        Returns None if the settings have no drive pose, because motion may then be enabled at once. In this case the
+        arm stops where it is. But on a board that can move arm and wheels together, the arm continues its movement.
         """
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
@@ -261,8 +264,8 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Why motion can't be enabled although the trajectory to the drive pose is over, judging by the joints'
-        measured positions. Empty if motion can be enabled."""
+        """Judge the arm's pose from the joints' measured positions, after a trajectory to the drive pose has ended.
+        Returns the reason why motion can't be enabled, or an empty text if it can."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
@@ -271,7 +274,8 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck the arm if nobody has used it for a while. While it moves, or must not move, it counts as used."""
+        """Tuck the arm if nobody has used it for a while. While the arm follows a goal, or accepts no goals, the time
+        does not run."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
@@ -295,7 +299,8 @@ class Arm:
             self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
-        """The time until the arm tucks itself, s. None if it will not, because it was not used or its torque is off."""
+        """The time until the arm tucks itself, s. None if the setting is off, or if there is nothing to tuck (see
+        ArmCore.active_ns)."""
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 

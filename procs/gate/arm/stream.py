@@ -39,13 +39,13 @@ class Space:
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
-        """Begin a movement from the joints' present positions. If the arm already touches something there, only coming
-        closer counts as a hit."""
+        """Begin a movement from the joints' present positions. If parts of the arm touch already at these positions,
+        only a move that brings them closer counts as a hit."""
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """The text about what the arm would hit at its joints' next positions. If it is empty, the arm may move there,
-        and those positions count as the present ones from now on."""
+        """A text about what the arm would hit at its joints' next positions. Empty if the arm may move there. In that
+        case the next positions count as the present ones from now on."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -67,12 +67,13 @@ class Stream:
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """The time of each group's next frame and the joints in the group, the next frame first. Empty if no servo is
-        moving."""
+        """One entry per group of joints: when the group's next frame is due, and its joints. The group that is due
+        first comes first. Empty if no servo is moving."""
         self._apart_ns = 0
         """When the servos' bus is free again after the last move."""
         self._blocked: dict[Joint, str] = {}
-        """For each frame, by its first joint: why its joints can't go on toward the goal, or empty."""
+        """Why each group of joints can't go on toward the goal, or an empty text if it can. The key is the group's
+        first joint."""
 
     @property
     def on(self) -> bool:
@@ -109,8 +110,9 @@ class Stream:
         self._schedule = []
 
     def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
-        """Move the joints that are due toward the followed goal. Returns (frame, hit). `frame` has their moves. `hit`
-        names what the arm would hit; these joints then stay where they are. It is empty if the way is free."""
+        """Make the next moves toward the followed goal, for the group of joints that is due. Returns (frame, hit).
+        `frame` has these moves. If the arm would hit something, `hit` names it, and the moves keep the joints where
+        they are. Otherwise `hit` is empty."""
         due_ns, group = self._schedule[0]
         self._apart_ns = now_ns + MOVES_APART_NS
         # Count from the time when the move was due. Then a late wake-up delays one frame, but not all later ones.
