@@ -34,8 +34,8 @@ A frame for the servos must pass these checks as well:
 A servo move that has to wait is written one or two milliseconds late. If it were dropped instead, its joints would stop
 until the next move, one period later.
 
-Before a motion frame is written, these invariants are checked too. They use other facts than the checks above. If an
-invariant is broken, the robot is stopped because of that defect (DEFECT):
+Before a motion frame is written, these invariants are checked too. They use facts that the checks above don't use. If
+an invariant is broken, the robot is stopped because of that defect (DEFECT):
 
     the epoch only grows (checked whenever it changes)
     only one process writes the port owner's memory
@@ -128,8 +128,8 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Follow a change of the epoch, which means a stop. If the epoch went back, return the cause for a stop. From
-        then on, motion is admitted only in an epoch higher than every epoch that was seen."""
+        """Handle a change of the epoch. A higher epoch means that there was a stop. If the epoch went back, return the
+        cause for a stop. From then on, motion is admitted only in an epoch higher than every epoch that was seen."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
@@ -147,8 +147,8 @@ class Admission:
 
 
 class BusSchedule:
-    """The schedule of the servos' bus: when it is free, judging by what this process has written, and which frames
-    wait."""
+    """The schedule of the servos' bus: which frames wait for the bus, and when it is free. This is computed from the
+    frames that the port owner has written."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
         """`bus`: the servos of the board's arm. `servos`: the ids of the robot's servos; empty for a robot without an

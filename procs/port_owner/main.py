@@ -1,7 +1,7 @@
 """The port owner's loop. It handles causes of stops first, then motion, then the bytes that the board has sent.
 
-Between noticing a cause and writing the burst, nothing blocks, logs or builds bytes. That is possible because BURST is
-a constant and the port is already open.
+Between noticing a cause and writing the burst, nothing blocks, logs or builds bytes. That is possible because the burst
+was built at the start and the port is already open.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame, if it waits because the line must first be silent. The timer `_line` is set then."""
+        """The newest motion frame, while it waits because the line must first be silent. The timer `_line` is then set
+        to the end of the silence."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
@@ -60,7 +61,8 @@ class PortOwner:
         self._arm_due = self.loop.timer()
         """When the next waiting frame for the arm may be written."""
         self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)
-        """Frames that are not motion and wait to be written. `_others_due`: when the first of them may be written."""
+        """Frames that are not motion and that wait to be written. The timer `_others_due` is set to the time when the
+        first one may be written."""
         self._others_due = self.loop.timer()
         self._barrier = Barrier()
         self._moved_ns = 0
@@ -148,7 +150,8 @@ class PortOwner:
         self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """Record that a burst was written. Returns the time, or 0 if the kernel did not take all of it."""
+        """Record that a burst was written at `written_ns`. Returns this time, or 0 if the kernel did not take the whole
+        burst."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._pop_held()
@@ -183,8 +186,8 @@ class PortOwner:
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _stop_again(self) -> None:
-        """Write the stop of the wheels again, without a cause. An arm may continue. If the line must be silent first,
-        nothing is written here, because the next refresh does it."""
+        """Write the stop of the wheels again. The arm is not stopped, and no cause is recorded. If the line must be
+        silent at the moment, nothing is written, because the next refresh stops the wheels."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -229,8 +232,9 @@ class PortOwner:
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """Stop as soon as a lease ends; a timer wakes the port owner at that moment. Without motion there is nothing to
-        stop."""
+        """Stop as soon as the lease of the gate or the supervisor ends. A timer wakes the port owner at that moment.
+        Also stop if the port owner itself was silent for too long, or if the gate beats but sends no new motion. If no
+        motion was written since the last stop, there is nothing to do."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -257,7 +261,7 @@ class PortOwner:
 
     def _forward_frames(self) -> None:
         """Read all frames that the gate has sent and write them. Only the newest motion frame counts, and a stop drops
-        all motion from before it."""
+        all motion from before the stop."""
         motion = self._pop_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
@@ -288,8 +292,8 @@ class PortOwner:
             self._burst()
 
     def _forward_others(self) -> None:
-        """Write the waiting frames that are not motion, once the line may be used. These are questions to the board,
-        and other frames that the board's rules allow."""
+        """Write the waiting frames that are not motion, unless the line must be silent. They are pings for clients, and
+        other frames that the board's rules allow. A frame that the rules don't allow is dropped."""
         while self._others and self.wire.free_ns <= monotonic_ns():
             frame = self._others.popleft()
             if frame in self.board.pings:
@@ -299,8 +303,8 @@ class PortOwner:
         self._others_due.set(self.wire.free_ns if self._others else NEVER)
 
     def _forward_arm(self) -> None:
-        """Write the waiting frames for the arm, in order. Each one must be admitted, as motion must. If a frame has to
-        wait, the frames behind it wait too."""
+        """Write the waiting frames for the arm, in order. Each frame must be admitted, in the same way as motion. If a
+        frame has to wait, the frames behind it wait too."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -357,8 +361,8 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Write a motion frame now, or hold it until the line may be used. It is admitted or refused only when it is
-        about to be written."""
+        """Write a motion frame now. If the line must first be silent, hold the frame until then. The frame is admitted
+        or refused only when it is about to be written."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
             self._held = motion
@@ -382,8 +386,8 @@ class PortOwner:
         """Write an admitted motion frame. Set the word `moving`, then check epoch and time once more, then write.
 
         This order lets other processes be sure of one thing: if they have raised the epoch and then read that nothing
-        moves, no outdated frame is about to be written. So a port owner that is starved at this point, for any time,
-        need not be killed.
+        moves, no outdated frame is about to be written. So a port owner that is starved at this point need not be
+        killed, however long it is starved.
         """
         self._moving_word.set(1)
         self._barrier()
@@ -424,8 +428,8 @@ class PortOwner:
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Read and flush the port, and adopt a new port if the supervisor has sent one. The supervisor has already
-        written a stop to it. Each loss of the port is a stop with its own cause."""
+        """Read and flush the port. If the supervisor has sent a new port, adopt it. The supervisor has already written
+        a stop to the new port. If the port in use is lost, stop the robot with the cause DEVICE_LOST."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:

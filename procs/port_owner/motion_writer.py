@@ -16,7 +16,7 @@ class MotionWriter:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word = context.own.word("told_ns")
         self.turning = False
-        """True if motion was written and no stop since then."""
+        """True if the last command to the wheels was to turn, and no stop was written after it."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
         """How many bytes may still wait in the port when motion is written. The number is the size of one ping, which
         takes 70 us to send."""
@@ -35,12 +35,12 @@ class MotionWriter:
 
     def arm(self) -> bool:
         """Set the board's own watchdog. Call it before the first motion after a stop, because the board may have
-        restarted since. Returns False if the port does not accept the frame."""
+        restarted since its watchdog was last set. Returns False if the port does not accept the frame."""
         return not self._board.arming or self._wire.frame(self._board.arming)
 
     def write(self, frame: bytes, now_ns: int, *, first: bool) -> bool:
-        """Write a motion frame. `first`: True if it is the first one after a stop, just after arm(). Returns False if
-        the port does not accept it."""
+        """Write a motion frame. `first`: True for the first motion frame after a stop, which follows directly after
+        arm(). Returns False if the port does not accept the frame."""
         turns = frame != self._board.stop
         if not turns:
             self.stopped()

@@ -1,8 +1,9 @@
-"""The open port, except for writing stops. This file handles the loss of the port, a newly opened port, the frames that
-a board gets when its port was opened, and reading the board while telemetry does not run.
+"""The open port: everything about it except how a stop is written. This file handles the loss of the port, a newly
+opened port, and the settings that the board must get after its port was opened. It also reads the board while telemetry
+does not run.
 
-Some boards are reset when their port is opened, and hear nothing at first. The port of such a board counts as open, and
-lets motion begin, only when the board hears and has received its settings.
+Some boards are reset when their port is opened, and hear nothing at first. Motion must not begin before such a board
+hears and has received its settings. So its port counts as open only from then on.
 """
 
 from __future__ import annotations
@@ -46,23 +47,23 @@ class OpenPort:
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """Records everything that the board will answer or echo. Each entry is made before its bytes are written. If
-        the bytes then never get out, the entry counts as lost. If an entry were missing, an answer would seem to prove
-        a later write."""
+        """The ring that records everything that the board will answer or echo. Each entry is made before its bytes are
+        written. If the bytes never get out, the entry counts as lost, which does no harm. But if an entry were missing,
+        the board's answer would seem to prove that a later write has arrived."""
         self._ping_backlog = 2 * len(board.burst)
-        """A ping is written only if at most this many bytes are still on their way to the board. It may directly follow
-        a stop, so that the board handles it right after the stop."""
+        """A ping is written only if at most this many bytes are still on their way to the board. So a ping can be
+        written directly behind a stop, and the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
-        """Continue after the first burst. The port counts as open once the board hears and has received its
-        settings."""
+        """Call it when the first burst was written to the port. The port counts as open once the board hears and has
+        received its settings."""
         self._hears.set(now_ns if self._wire.lost else self.hears_ns)
         self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or a stop
-        interrupts them, the port does not count as open and they are sent again later. Otherwise the board's own
-        watchdog might never be set."""
+        """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or if a
+        stop comes between them, they are sent again later, and the port does not count as open until then. If it did,
+        motion could begin although the board's own watchdog was never set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -104,8 +105,8 @@ class OpenPort:
         self.pings.opened(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
-        """Write the next ping if it is due. Publish the time from before the write, because an answer proves what was
-        written before that time."""
+        """Write the next ping if it is due, and publish the time just before the write. The board's answer proves that
+        the board has handled everything that was written before this time."""
         pings = self.pings
         if not pings.due(now_ns):
             return
@@ -120,8 +121,8 @@ class OpenPort:
             pings.failed(now_ns)
 
     def ask_for_a_client(self, index: int) -> None:
-        """Write a ping that a client wants answered now, in addition to the regular pings. It does not count as the
-        newest ping. Otherwise a board that clients ask very often would never count as deaf."""
+        """Write a ping that a client wants answered now, in addition to the regular pings. It is not published as the
+        newest ping. If it were, a board that clients ping very often would never count as deaf."""
         asked_ns = monotonic_ns()
         if asked_ns >= self.hears_ns:
             self._question(index, asked_ns)
@@ -135,14 +136,13 @@ class OpenPort:
         return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
-        """Record a motion frame that is about to be written, or a stop that was written, if the board echoes such
-        frames."""
+        """If the board echoes the commands that it obeys, record the command in `frame`. `frame` is a motion frame that
+        is about to be written, or a stop that was written."""
         if (speeds := self._board.commanded(frame)) is not None:
             self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
     def serve(self, ready: dict[int, int]) -> None:
-        """Read what the board has sent, write the rest of what the kernel did not take, and notice if the port is
-        gone."""
+        """Read what the board has sent, write what the kernel did not take earlier, and notice if the port is gone."""
         wire = self._wire
         found = ready.get(wire.fd, 0)
         if found & WRITE:
@@ -152,13 +152,13 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch the port for its loss. Also watch for room to write while the kernel has not taken everything, and for
-        the board's bytes unless telemetry reads them (`heard`).
+        """Watch the port for its loss. While the kernel has not taken everything, also watch for room to write. Unless
+        telemetry reads the board's bytes (`heard`), also watch for these bytes.
 
-        EDGE is needed although each read returns all bytes. Without it, the kernel looks for more bytes at the next
-        wait, and this process sleeps until the kernel's worker, which has ordinary priority, is done (n_tty_poll). So
-        on a busy machine the port owner would not notice stops after each frame from the board, for as long as other
-        processes run.
+        The bytes are watched with EDGE, although each read returns all of them. Without EDGE, the kernel looks for more
+        bytes at the next wait. To do this it needs a worker of ordinary priority, and this process sleeps until the
+        worker is done (n_tty_poll). So on a busy machine, after each frame from the board, the port owner could not
+        notice a stop until other processes let the worker run.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
         wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)

@@ -20,9 +20,10 @@ class PortWriter(StopPort):
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """How many bytes the kernel took of each early stop that the loop has not handled yet, or ALREADY."""
+        """For each early stop that the loop has not handled yet, how many of its bytes the kernel took. ALREADY means
+        that a whole stop was on the line before."""
         self._handed = 0
-        """How many bytes were handed to the kernel since it last held none."""
+        """How many bytes were handed to the kernel since the kernel last held none of them."""
         self._held_since_ns = 0
         self._refused = False
         """True if the kernel took nothing of the last write."""
@@ -68,8 +69,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """From now on, record everything that is written in the black box, starting with the burst that was just
-        written. Attaching the ring takes milliseconds, so this happens after the first burst."""
+        """From now on, record in the black box everything that is written to the port. The first record is the burst
+        that was just written. Attaching the ring takes milliseconds, so it is attached only after this burst."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -78,9 +79,9 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Nothing is written, and False is returned, if the kernel takes none of it. The same happens
-        if more than `backlog` of this writer's bytes are still in the kernel, because the frame would arrive late
-        behind them."""
+        """Write one frame. Returns False if nothing was written. This is so if the kernel takes no byte, if the port is
+        lost, or if an earlier write or an early stop is not finished. Nothing is written either if more than `backlog`
+        of this writer's bytes are still in the kernel, because the frame would arrive late behind them."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0

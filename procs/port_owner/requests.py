@@ -1,8 +1,9 @@
 """The stop pipe. Every user may write to it, and any bytes in it request a stop. If the bytes are text, the text is
 logged as the reason.
 
-After a request the pipe rests for REST_NS, so that a flood of requests does not become a flood of bursts and epochs.
-Bytes that arrive during the rest stay in the pipe. No motion is admitted until they have been read.
+After a request, the pipe rests: the port owner does not watch it for REST_NS, so that a flood of requests does not
+become a flood of bursts and epochs. Requests that arrive during the rest stay in the pipe, and no motion is admitted
+until they have been read.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class RequestPipe:
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def accept(self, now_ns: int) -> Cause:
-        """Read the request and return its cause. Call it after the stop was written. From now on the pipe rests."""
+        """Read the request from the pipe, and return the cause of the stop. Call it after the stop was written. The
+        pipe's rest begins now."""
         line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)

@@ -90,7 +90,7 @@ class Stopper:
 
     def _succeeded(self) -> bool:
         """True if a new port owner runs. It stopped the wheels when it started, and motion may have been enabled since.
-        So a stopper that was held up must not interrupt that motion because of the old death."""
+        So a stopper that was held up must not interrupt that motion because of the death of the previous port owner."""
         named = self._port_owner.named()
         return named != self._stopped_for and self._port_owner.heart.running(named)
 
@@ -104,8 +104,8 @@ class Stopper:
             self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
-        """Write the burst after the supervisor's death, once the port owner has answered or its time is over. Also
-        write the repeats of an earlier burst that are due."""
+        """Write the burst for the supervisor's death once the port owner has written its own stop, or once it has taken
+        longer than FIRST_GO_NS. Also write the repeats of an earlier burst that are due."""
         self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
@@ -122,8 +122,8 @@ class Stopper:
             self._write()
 
     def _hangs_ns(self) -> int:
-        """When the port owner counts as hanging if it doesn't beat before. NEVER if none runs, or if it was killed
-        already."""
+        """When the port owner counts as hanging, unless it beats earlier. NEVER if no port owner runs, or if this one
+        was killed already."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
             return NEVER
