@@ -21,8 +21,8 @@ RECENT_NS = 2_000_000_000
 """Only readings older than this count as the voltage before a step. The firmware averages its readings, so a step takes
 about 3 s to show fully."""
 SETTLE_NS = 3_000_000_000
-"""How long motion must have been disabled before steps count. The motors' load moves the voltage by up to 170 mV when
-it begins and when it ends."""
+"""How long motion must have been disabled before a step in the voltage counts. The motors' load moves the voltage by up
+to 170 mV when it begins and when it ends."""
 MOST_READINGS = 64
 """How many readings are kept. About one comes per second. The limit keeps the work small if a flood of readings
 comes."""

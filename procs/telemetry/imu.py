@@ -14,8 +14,9 @@ Vector = tuple[float, float, float]
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
 LONGEST_GAP_NS = 500_000_000
-"""The longest gap between two samples that belong together. After a longer gap, the first sample does not move the
-bias, because it would weigh as much as all the missing samples. It does not continue a calibration either."""
+"""The longest gap between two samples that belong together. After a longer gap, a calibration begins again. Outside of
+a calibration, the first sample after the gap does not move the bias, because it would weigh as much as all the samples
+that are missing."""
 LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
@@ -44,9 +45,10 @@ class GyroBias:
                 -> kept        if the robot moved or was commanded to; people are warned, and the bias stays as it was
                                (zero at the first start)
 
-    After the calibration, tracking goes on averaging until the average covers one time constant. From then on, the bias
-    follows with that time constant. In a test with a constant bias, the heading of a robot at rest drifted by at most
-    0.10 degrees in 8 minutes this way. With the time constant from the start it drifted by 0.17 degrees (40 seeds;
+    After the calibration, each sample at rest first counts as much as every sample before it, so the bias stays a plain
+    average. When the average covers one time constant (imu.tracking_tau_s), the bias follows the samples with this time
+    constant. In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8
+    minutes. It drifted by 0.17 degrees when the bias followed with the time constant from the start (40 seeds;
     docs/reference/telemetry.md).
     """
 

@@ -48,8 +48,8 @@ the same time."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
-"""How often the gyro's bias is published. It is published only when something else wakes the process, so 100 ms would
-become 105 to 110 ms, but the state must come at 10 Hz or faster. The state of the wheels is published as often, and
+"""How often the gyro's bias is published. It must come at 10 Hz or faster, but it is published only when something else
+wakes the process. With 100 ms, it would come every 105 to 110 ms. The state of the wheels is published as often, and
 also with each reading."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
@@ -57,9 +57,9 @@ BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The gate's published state, as far as telemetry needs it. It shows whether the wheels are commanded to turn, may
-    turn, or are stopped. Until the gate has published a state, motion counts as disabled, the wheels as stopped, and no
-    stop as latched."""
+    """The part of the gate's published state that telemetry needs. It shows whether the wheels are commanded to turn,
+    may turn, or are stopped. Before the gate has published a state, telemetry assumes that motion is disabled, that the
+    wheels are stopped, and that no stop is latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -74,7 +74,8 @@ class GateState:
         self.velocity = STANDSTILL
         """The commanded velocity: m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
-        """When this state began, as far as is known."""
+        """From when this state counts: when the gate published it, or when telemetry noticed that the gate is
+        silent."""
         self.zero_ns = 0
         """Since when zero has been commanded. 0 if another velocity is commanded, or if nothing was published yet."""
         self.wheels_rps: tuple[float, ...] = ()
@@ -85,7 +86,8 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state. Returns True if it is new."""
+        """Read the gate's state. Returns True if the state is new. If the gate is silent for too long, motion counts as
+        disabled, and that is a new state too."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:
@@ -226,8 +228,8 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
     def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
-        """Continue from how far the wheels had turned when the previous telemetry process ended. How far they turned
-        from then until the first new report stays unknown."""
+        """Continue from the wheels' turns that the previous telemetry process has published. How far the wheels turned
+        between that record and the first new report stays unknown."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
@@ -308,8 +310,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish when the board last sent anything. Call it after everything else that follows from its bytes was
-        done."""
+        """Publish when the board last sent anything. Call it when everything else that follows from the board's bytes
+        is published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -402,7 +404,7 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Handle the board's report about its wheels. It has priority over what an IMU measures."""
+        """Handle the board's report about its wheels. The report has priority over what an IMU measures."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
-"""If more time than this passes between two calls, the excess does not count, because nobody knows what the wheels did
-in it."""
+"""The longest step of advance(). If more time has passed since the last call, the excess does not count, because nobody
+knows what the wheels did in such a long gap."""
 MEAN_NS = 200_000_000
 """Speeds from a board that counts are averaged over this time, because a single count in 50 ms may mean 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
@@ -55,7 +55,8 @@ class Odometry:
         """The covariance of x, y (m2) and th (rad2), as xx, xy, x th, yy, y th, th th. The rounding error is not
         included."""
         self._rounded = 0.0
-        """The variance of a wheel's turns that comes from counting in whole steps. It does not grow."""
+        """The variance of a wheel's turns that comes from counting in whole steps. It does not grow with the
+        distance."""
         self._ways: tuple[tuple[float, ...], ...] = ()
         """How far one turn of each wheel, by wire id, moves the base along x, y (m) and th (rad)."""
         base = kinematics.from_settings(settings)
@@ -64,7 +65,8 @@ class Odometry:
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         self._errors = self._ways
-        """The same factors, but for the errors in the wheels' turns."""
+        """How far an error of one turn of each wheel moves the base, in the form of `_ways`. It differs from `_ways`
+        only for a steered base with one driven wheel."""
         self._bend = 0.0
         """How far the base turns per meter at the commanded steering angle, rad/m. Only used for a steered base with
         one driven wheel."""
@@ -74,7 +76,7 @@ class Odometry:
             self._errors = (*self._ways[:2], aside)
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
-        """The variance of a wheel's turns, per turn."""
+        """The variance that slip adds to a wheel's turns with each turn of the wheel."""
         self._told_m = self._told_rad = 0.0
         """How far the robot was commanded to go (m) and to turn (rad). Forward and backward both add to it."""
         self._turns: tuple[float, ...] = ()
@@ -184,8 +186,8 @@ class Odometry:
         self._grow(ahead, aside, dx, dy, variances)
 
     def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
-        """Increase the covariance after a move of (`dx`, `dy`) in the robot's frame. `variances`: those of the wheels'
-        turns."""
+        """Increase the covariance after a move of (`dx`, `dy`) in the robot's frame. `variances`: the variance of each
+        wheel's turns."""
         xs, ys, ths = self._errors
         # If the heading is wrong by 1 rad, the whole distance is turned to the side.
         out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside

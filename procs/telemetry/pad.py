@@ -18,15 +18,15 @@ LOCKED, DRIVING, JOINT = range(3)
 """The modes, as indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right one turns
 it."""
 CHOOSES = 0.7
-"""How far the left stick must be pushed to choose the next joint, from 0 to 1. It must come back to less than half of
-this before it can choose again."""
+"""How far the left stick must be pushed to choose the next joint, from 0 to 1. The stick must come back to less than
+half of this before it can choose again."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
 """If no frame has come for this long, no button counts as held. Normally about 20 frames come per second."""
 HOLD_ENDS = 3
-"""A hold of MODE ends after this many frames without it. If fewer are without it, they may have been received
-wrongly."""
+"""A hold of MODE ends when this many frames in a row don't have MODE pressed. A smaller number of such frames may only
+have been received wrongly."""
 RAW_FRAMES = 6
 """How many raw frames are kept for the log. They show what the gamepad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
@@ -48,7 +48,7 @@ TUCK_SOUND = (2000, 50, OFF_MS, 4)
 
 
 class PadNews(Data):
-    """What one frame of the gamepad leads to."""
+    """What telemetry must do because of one frame of the gamepad."""
 
     cause: Cause | None
     command: Velocity | None

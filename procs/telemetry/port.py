@@ -12,7 +12,7 @@ LATE_NS = 100_000_000
 ping (procs/schedule.py), and an old position of a stick must not command motion."""
 
 PROVED_NS = 3_000_000_000
-"""After this time nothing more is learned about a stop (supervisor/proof.py)."""
+"""How long after a stop the board's bytes may still prove something about the stop (supervisor/proof.py)."""
 
 
 class HeardPort:

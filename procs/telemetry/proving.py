@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 FORGOTTEN_NS = 500_000_000
 """A report of the obeyed command that is older than this says nothing about the present."""
 PAUSE_NS = 100_000_000
-"""If the reports pause for longer than this, and longer than two reports take, the count of reports begins again. The
-reason is that a stalled adapter delivers old reports after the pause."""
+"""If the reports pause for longer than this, and for longer than two reports take, the time for which the board has
+obeyed zero is counted again from the first report after the pause. The reason is that a stalled adapter delivers old
+reports after the pause."""
 
 
 class Proving:
@@ -40,8 +41,7 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """When the last motion command was written that the board's own watchdog has ended since then. 0 if there is
-        none."""
+        """If the board's own watchdog has ended the last motion, the time when this motion was written. Otherwise 0."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:

@@ -1,7 +1,8 @@
 """Read-back: judges from the board's own reports whether the wheels are still. Pure.
 
-The wheels count as still when two reports in a row say so, because the speeds are zero or the odometers have not
-changed. This needs no IMU, and is more reliable than an IMU.
+If the board reports only speeds, the wheels are still when all speeds are zero. If it reports positions, the wheels are
+still when two reports that are at least READS_APART_NS apart have the same positions and the newer report shows no
+speed. This needs no IMU, and is more reliable than an IMU.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@ Most restarts are short, because the board's program starts again right after it
 signs of a restart:
 
 - The board sends a text that it prints only when it starts.
-- Its counters fall to zero, from further away than its wheels can turn in that time.
-- It obeys zero although the newest command is motion, which it obeyed before.
-- Its reports pause for longer than they normally do. An adapter that stalls delivers the missing reports afterwards and
-  all at once, so they are counted before the pause is taken for a restart.
+- Its counters fall to zero, although its wheels can't have turned so far since the report before.
+- It obeys zero although the newest command is motion, and it has obeyed this command before.
+- Its reports pause for longer than usual. An adapter that has only stalled delivers the missing reports later, all at
+  once. So a pause counts as a restart only if its reports are still missing a moment after it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ KEPT_NS = 40 * MS
 LEARN_NS = 400 * MS
 """How long it takes to measure how often the board reports."""
 MISSING = 0.6
-"""A pause counts as a restart only if at least this share of its reports is missing for good."""
+"""A pause in the reports counts as a restart only if at least this share of the reports that were due in the pause
+never comes."""
 FASTER = 1.5
-"""A wheel may turn this many times as fast as the fastest turning that was seen."""
+"""Between two reports, a wheel may turn this many times as fast as the fastest turning that was seen before."""
 FADES = 0.98
 """The fastest turning that was seen is multiplied by this at each report, so that it is forgotten with time."""
 LEAST_FALL = 10.0
@@ -47,7 +48,7 @@ class RestartWatch:
     def forget(self) -> None:
         """Begin again, for example after another port was opened."""
         self._last_ns = self._other_ns = 0
-        """When the last regular report came, and when the last other sample came."""
+        """When the last regular report came, and when the last sample of another kind came."""
         self._learned = (0, 0)
         """Since when the reports have been counted, and how many have come since then."""
         self._period_ns = 0.0
@@ -62,7 +63,7 @@ class RestartWatch:
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Record how many regular reports and how many other samples were just read."""
+        """Record how many regular reports, and how many samples of other kinds, were just read."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -95,7 +96,8 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Judge whether the missing reports of a pause are missing for good."""
+        """Judge whether a pause in the reports was a restart. It was one if too many of the reports that were due in
+        the pause have not come, and the counters have not continued from their last values."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)

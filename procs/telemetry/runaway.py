@@ -1,9 +1,9 @@
 """Runaway: detects from the board's reports that a wheel does not follow its commands. Pure.
 
-Each report is compared with all speeds that were commanded during the time that the report may describe. A wheel has
-run away if it turns faster than these speeds, or in the other direction, for longer than it needs to run down, without
-slowing down. If a wheel stands still although it is commanded to turn, that is only reported as a warning.
-procs/telemetry/runaway.md explains the thresholds.
+Each report is compared with all speeds that were commanded during the time that the report may describe. If a wheel
+turns faster than these speeds, or in the other direction, it gets as long as it needs to run down from its earlier
+speed. If it has not slowed down by then, it has run away. If a wheel stands still although it is commanded to turn,
+that is only reported as a warning. procs/telemetry/runaway.md explains the thresholds.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ STANDS_SHARE = 0.1
 STANDS_MPS = 0.02
 """A commanded speed below this may be too low to move the wheel."""
 SELDOM_NS = 1_000_000_000
-"""A board that reports less often than this, or whose description does not say how often, is not judged here."""
+"""A board that reports less often than this, or whose description does not say how often it reports, is not judged."""
 
 
 class Margins(Data):
@@ -136,8 +136,9 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """The sum of speed times weight and the sum of the weights, for the first half of the time in which the wheel
-        is too fast, and then for the second half."""
+        """Four sums about the time in which the wheel does not turn as commanded. The first two are for the first half
+        of this time: the sum of speed times weight, and the sum of the weights. The last two are the same sums for the
+        second half."""
         self.stand_noted = False
         """True if it was already reported that the wheel stands still."""
 
@@ -146,23 +147,24 @@ class _Wheel:
 
     def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
         """Record that from `since_ns` on the wheel turns faster than commanded, or in the other direction. `side`: 1 if
-        its speed is too high, -1 if it is too low. `rolls_ns`: how long that is allowed. `every_ns`: the time between
-        two reports."""
+        its speed is too high, -1 if it is too low. `rolls_ns`: how long the wheel may do this before it counts as run
+        away. `every_ns`: the time between two reports."""
         self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
         self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
         self.halves = [0.0, 0.0, 0.0, 0.0]
 
     def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
-        """Add a report during the time in which the wheel does not turn as commanded."""
+        """Add a report of a wheel that turns faster than commanded, or in the other direction. `weight`: the time that
+        the report covers, ns."""
         self.reports += 1
         half = 2 * (t_ns > self.second_ns)
         self.halves[half] += seen_rps * weight
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """True if the wheel slows down, by more than one count of the encoder and a late report can explain. Also True
-        if too little is known about one of the halves. `count`: one count, in turns times ns. `late_ns`: how late a
-        report may be."""
+        """True if the wheel slows down so much that one count of the encoder and a late report can't explain it. Also
+        True if one of the two halves (see SLOWS) has no report, because then nobody can tell. `count`: one count, in
+        turns times ns. `late_ns`: how late a report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -224,7 +226,8 @@ class RunawayJudge:
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
         """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
-        the first wheel that does not turn as commanded, or None. A wheel is not returned again with every report."""
+        the first wheel that does not turn as commanded, or None. The next reports about a returned wheel return None. A
+        wheel that still runs away is returned again only after it was too fast for the whole allowed time once more."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -283,9 +286,9 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """If two reports are further apart than this, the wheel may have done anything between them. Reports of
-        positions may be further apart than reports of speeds, because a position shows what happened since the one
-        before."""
+        """If a wheel is too fast in two reports that are at most this far apart, it counts as too fast between them
+        too. In a longer gap, the wheel may have done anything. Reports of positions may be further apart than reports
+        of speeds, because a position shows how far the wheel has turned since the previous report."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

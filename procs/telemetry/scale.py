@@ -1,8 +1,9 @@
 """Scale: compares how fast the wheels and the robot turn with what was commanded. Pure.
 
-It uses only measurements that don't depend on the scale of the commands: the gyro, and reports that have their own
-scale. A wheel lags behind its command, so the comparison begins a moment after the command has changed. The shorter the
-compared time, the larger a difference must be before it is reported.
+It uses only measurements that don't depend on the scale of the commands. These are the gyro's turn rates, and the
+wheels' speeds if the board reports them with a scale of its own. A wheel lags behind its command, so the comparison
+begins a moment after the command has changed. The shorter the compared time, the larger a difference must be before it
+is reported.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ BEGINS_S = 0.2
 REACHED_S = 0.3
 """A command that has stayed the same for this long counts as reached. Only then can a wheel be called too slow."""
 RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
-"""For how many seconds speeds must have been compared. The first value is for the time while the command rises, and the
-second for the time after it was reached."""
+"""How many seconds of motion must have been compared before a difference counts. The first value is for the time while
+the command rises, and the second for the time after it was reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
 """These values, divided by the compared seconds, are added to the allowed factor. So after a short comparison only a
 large difference counts. The first value is for the time while the command rises, and the second for the time after it
@@ -76,11 +77,12 @@ class Ratio:
         self._before = self._same_s = 0.0
         self._wait_s = BEGINS_S
         self.risen, self.reached = Sum(), Sum()
-        """`risen`: the sums while the command rose or stayed the same. `reached`: the sums after it was reached."""
+        """`risen`: the sums over the time in which the command rose or stayed the same. `reached`: the sums over the
+        time in which the command had been the same for REACHED_S."""
 
     @property
     def known(self) -> Sum:
-        """The sum that says more: `reached` if enough was compared, otherwise `risen`."""
+        """The sums to judge from: `reached` if they cover at least REACHED_LEAST_S, otherwise `risen`."""
         return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
@@ -144,7 +146,8 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare the motion since the last call. Returns True if a result in words has appeared or disappeared.
+        """Compare the motion since the last call. Returns True if `wrong` or `remarks` has become empty, or is no
+        longer empty.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
         `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.

@@ -1,5 +1,5 @@
-"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each is written
-completely or not at all.
+"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each file is
+written completely or not at all.
 
 If a file can't be written, the only effect is one line in the journal.
 """

@@ -1,9 +1,10 @@
 """Still: judges from the gyro whether the wheels are still. Pure.
 
 Turning wheels shake the robot. The shaking shows in the standard deviation of gyro x and gyro y over a window of
-samples. Still and turning are not far apart, so a window is sometimes quiet by chance. So the verdict is "still" only
-when every window has been quiet for another HOLD_NS. docs/reference/telemetry.md says how often the verdict is wrong
-for several lengths of window and hold, how late it comes, and how an IMU with another rate affects it.
+samples. Turning wheels don't always shake the robot much, so a window is sometimes quiet by chance. So the verdict is
+"still" only when all windows were quiet for HOLD_NS after the first quiet window. docs/reference/telemetry.md says how
+often the verdict is wrong for several lengths of window and hold, how late it comes, and how an IMU with another rate
+affects it.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ class StillJudge:
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """The times of the first and the last sample of the first quiet window, if all windows since then have been
-        quiet. Zeros if the present window is not quiet."""
+        """If the present window is quiet, the times of the first and the last sample of the first window in the
+        unbroken row of quiet windows. Otherwise zeros."""
         self.still_ns = 0
-        """Since when the wheels have been still, because all samples from then on are in quiet windows. 0 if they turn,
-        or if it is not known. It may be before the stop, because a window is quiet as soon as most of it is rest."""
+        """Since when the wheels have been still, because all samples from this time on are in quiet windows. 0 if the
+        wheels turn, or if it is not known. The time may be a little before the wheels stopped, because a window is
+        quiet as soon as the wheels were at rest during most of it."""
         self.judged_ns = 0
         """The time of the last sample that has a verdict. 0 if there is no verdict, for example until the first quiet
         windows have held for HOLD_NS."""

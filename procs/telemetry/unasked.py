@@ -3,13 +3,13 @@
 What it does depends on the state of the gate:
 
     motion enabled         nothing, because the gate reads the same fact and disables motion with a burst
-    motion was disabled    write the stop again; if the wheels then turn for as long once more, latch a stop (UNSTILL)
-      because of it
-    motion disabled        somebody pushes the robot, or another program drives it: report it, and write the stop again
+    motion was disabled    write the stop again; if the wheels still turn after still.after_s, latch a stop (UNSTILL)
+      because they turned
+    otherwise disabled     somebody pushes the robot, or another program drives it: report it, and write the stop again
     a stop is latched      nothing until the wheels were seen still once, because the supervisor follows the stop; after
-                           that, the same as while motion is disabled
+                           that, the same as when motion is otherwise disabled
 
-If only an IMU notices the motion, it is only reported, because a robot that is carried shakes too.
+If the motion is seen only by an IMU, telemetry only logs a note, because a robot that is carried shakes too.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ class Unasked:
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned, or 0 if it was not, or if that is not known."""
+        """When motion was disabled because the wheels turned. 0 if it was not disabled for this reason, or if the
+        wheels have stopped since."""
         self._epoch = 0
         self._rested = False
         """True if the wheels have been seen still in the current epoch."""

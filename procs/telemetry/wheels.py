@@ -36,7 +36,7 @@ turns."""
 SAME_READ_NS = 5_000_000
 """Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""A counter that has started at zero has counted for at most this long before it is first read."""
+"""When a counter has started again at zero, it has counted for at most this long before it is first read."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
