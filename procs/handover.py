@@ -40,8 +40,8 @@ class Control:
             return
 
     def receive(self) -> tuple[int, int, str] | None:
-        """Return (descriptor, number, path) of a port that was sent. None if none waits, or if its descriptor was
-        lost."""
+        """Return (descriptor, number, path) of a port that the supervisor has sent. None if no port was sent, or if its
+        descriptor was lost."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
             data, ancillary, _, _ = self._socket.recvmsg(_NUMBER.size + PATH_BYTES, _socket.CMSG_LEN(_FD.size), flags)
@@ -57,8 +57,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """Like receive(), but only if this wake-up reports that a port was sent. Ports with a number below `least` were
-        received before, so they are closed and ignored."""
+        """Like receive(), but only for ports whose number is at least `least`. Ports with a lower number were received
+        earlier, so their descriptors are closed. Returns None if this wake-up does not report that a port was sent."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent
@@ -70,9 +70,9 @@ class Control:
 
 
 class HeldPort:
-    """The port of a process that does not own it. The process adopts every descriptor that the supervisor sends, and
-    publishes the port's number in a word of shared memory. It closes the port at once when the device is gone, because
-    otherwise the device would get a different name when it is back."""
+    """The port, as a process other than the port owner holds it. This process adopts every descriptor that the
+    supervisor sends, and publishes the port's number in a word of shared memory. When the device is gone, it closes the
+    port at once. Otherwise the device would get a different name when it is plugged in again."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
@@ -99,9 +99,9 @@ class HeldPort:
                 self._loop.watch(self._fd, wanted)
 
     def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
-        """Close the port if it is gone, and adopt a port that was sent. Call it once per turn. `lost`: True if this
-        process itself has found that the port is gone. Returns True if a descriptor was adopted, of a new port or of
-        the same port again."""
+        """Close the port if the device is gone, and adopt a port that the supervisor has sent. Call it once per turn.
+        `lost`: True if this process itself has found that the port is gone. Returns True if a descriptor was adopted.
+        It may be a new port, or a new descriptor of the same port."""
         taken = False
         given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
         if ready.get(self._fd, 0) & GONE or lost or given_up:

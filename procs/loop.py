@@ -75,7 +75,7 @@ class Loop:
             self._epoll.modify(fd, wanted)
 
     def listen(self, *bells: EventBell) -> None:
-        """Watch bells. wait() clears each bell that has rung before it returns, so a later ring wakes the loop
+        """Watch bells. If a bell has rung, wait() clears it before wait() returns, so that a later ring wakes the loop
         again."""
         for bell in bells:
             self._bells[bell.fd] = bell

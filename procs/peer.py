@@ -14,26 +14,28 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""After the supervisor's death, a process that writes stops goes on for at least this long. On most boards this is
+"""After the supervisor's death, the port owner and the stopper go on for at least this long. On most boards this is
 enough for the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
-"""How long such a process goes on after the last repeat, so that the repeat gets out of the port."""
+"""How long the port owner and the stopper go on after the last repeat of a stop, so that the repeat gets out of the
+port."""
 LATEST_NS = 500_000_000
-"""The longest time that such a process waits for a port that still holds the stop. It waits because the kernel drops
-the remaining bytes when the last process closes the port."""
+"""The port owner and the stopper exit at the latest this long after the supervisor's death. Before that, each of them
+waits while its port still holds bytes of the stop, because the kernel drops these bytes when the last process closes
+the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """How long a process that writes stops goes on after the supervisor's death. The board has received the last repeat
-    by then."""
+    """How long the port owner and the stopper go on after the supervisor's death. By then the board has received the
+    last repeat of the stop."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
 DRAINED_NS = 5_000_000
 """How often to check whether the port still holds the stop."""
 _LINE = 1
-"""The line on which this process waits in the block of futexes of each process that it watches. The supervisor waits on
-line 0."""
+"""Each watched process has a block of futexes. This process waits on the futex with this number, and the supervisor
+waits on the futex with the number 0."""
 
 
 class Parent:
@@ -42,7 +44,8 @@ class Parent:
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
         """`line`: the line to wait on in the supervisor's block of futexes. `port`: the port to which this process
-        writes its stops. `early`: True if the thread that first learns of the death writes the stop itself."""
+        writes its stops. `early`: True if the stop for the supervisor's death is written at once, by the thread that
+        waits for the death."""
         self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
@@ -68,8 +71,8 @@ class Parent:
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit, because the repeats have been sent. If the port still holds some of their
-        bytes, the exit is delayed, but not beyond LATEST_NS after the supervisor's death."""
+        """True when it is time to exit, because the repeats have been sent. While the port still holds some of their
+        bytes, the process stays, but at most until LATEST_NS after the supervisor's death."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -79,8 +82,8 @@ class Parent:
 
 
 class Peer:
-    """Watches one process for death. `life` is None while the process does not exist, and after its death was
-    answered."""
+    """Watches one process for death. `life` is None until the process is started, and again after the stop for its
+    death was written."""
 
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
         """`port`: the port to which a thread writes the stop as soon as it learns of the death."""
@@ -120,14 +123,15 @@ class Peer:
         return died
 
     def _stop_early(self, pid: int) -> None:
-        """Write the stop, in the thread that waits for the death. Does nothing if the supervisor has published a new
-        process since. The death was answered then, and a thread that was held up must not stop motion that was enabled
-        later."""
+        """Write the stop for the death of the process `pid`, in the thread that waits for this death. Nothing is
+        written if the supervisor has already published the next process. By then the robot was stopped for the death,
+        and motion may have been enabled since. A thread that was held up must not stop that motion."""
         if self.named() == pid:
             self._stop()
 
     def runs(self) -> bool:
-        """True while the process is known to run: from its own report that it runs until its death was answered."""
+        """True while the process is known to run. This begins when the process reports that it runs. It ends when the
+        stop for its death was written."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:

@@ -1,5 +1,6 @@
-"""Rights: what a process requests from the kernel for itself. This is real-time scheduling, locked memory, to be killed
-when its parent dies, to end at once when it crashes or loops, and enough open files."""
+"""Rights: what a process requests from the kernel for itself. It asks for real-time scheduling, locked memory and
+enough open files. It also asks the kernel to kill it when its parent dies, and to end it at once when it crashes or
+when it loops endlessly."""
 
 from __future__ import annotations
 
@@ -18,18 +19,18 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""The kernel kills this process if it runs for this long at real-time priority without a pause, us. Otherwise an
-endless loop would take the core from every process of lower priority. On a computer with one free core, those include
-the processes that must stop the wheels because of the loop."""
+"""How long this process may run at real-time priority without a pause, us. The kernel kills it if it runs longer.
+Otherwise an endless loop would take the core from every process of lower priority. On a computer with one free core,
+the processes that must stop the wheels because of the loop could not run either."""
 SUPERVISOR_LOOP_US = 500_000
-"""The same limit for the supervisor, us. It is longer because the supervisor has the lowest priority on the stop path,
-so a loop in it delays no stop, but if it is killed the service ends. The kernel counts whole ticks, including those
-that the host of a virtual machine withholds. The limit must be shorter than the time after which the kernel pauses all
-real-time processes of a core (sched_rt_runtime_us)."""
+"""The same limit as LOOP_US, but for the supervisor, us. It is longer, because the service ends if the supervisor is
+killed. It can be longer, because the supervisor has the lowest priority on the stop path, so a loop in it delays no
+stop. The kernel counts whole ticks, even those in which a virtual machine did not get the processor. The limit must be
+shorter than the time after which the kernel pauses all real-time processes of a core (sched_rt_runtime_us)."""
 
 DESCRIPTORS = 68
-"""The most descriptors that the supervisor has open. These are 52 with every process, segment and bell, 5 for a dead
-run, 2 for each of 4 savers, and a few to read files."""
+"""The most descriptors that the supervisor has open. These are 52 for the processes, segments and bells, 5 for the
+memory of an earlier run that died, 2 for each of 4 savers of black boxes, and a few to read files."""
 STACK_BYTES = 256 * 1024
 """The stack size of each process. It is four times the most that any process was seen to need."""
 
@@ -51,9 +52,9 @@ def die_with_parent(parent_pid: int) -> None:
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[bool]:
-    """Ask the kernel for SCHED_FIFO at `priority`, and yield True if it was granted. The process has it within the
-    `with` block. You can find out only by asking, because a container or a control group may refuse what the limits and
-    capabilities allow."""
+    """Ask the kernel for SCHED_FIFO at `priority` for the length of the `with` block. Yields True if the kernel has
+    granted it. The only way to find out is to ask, because a container or a control group may refuse what the limits
+    and capabilities allow."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -71,8 +72,8 @@ def request_rights(priority: int) -> int:
     """Ask for SCHED_FIFO at `priority` and for locked memory. Returns the heartbeat bits of the rights that this
     process has. One of the bits says whether the kernel reports deaths early, which some kernels don't.
 
-    Processes that are started from this one begin without real-time rights, so the imports during a restart delay no
-    tick.
+    Processes that this process starts begin without real-time rights. So when a process is restarted, its imports don't
+    delay the ticks of the other processes.
 
     A process that crashes leaves no dump. The limit that ends an endless loop (LOOP_US) applies only after settle(),
     because a start takes longer than any turn.
@@ -113,9 +114,9 @@ def _limit(which: int, soft: int | None) -> None:
 
 
 def raise_limits() -> None:
-    """Make sure that this process, and those that it starts, can open DESCRIPTORS files and have STACK_BYTES of stack.
-    With too little stack, the first call that needs more would end a process by SIGSEGV without a message. Raises the
-    soft limits as needed. Raises OSError if a hard limit is too low."""
+    """Make sure that this process and its child processes can open DESCRIPTORS files and have STACK_BYTES of stack. If
+    the stack were too small, a process would be killed by SIGSEGV without a message as soon as it needs more. Soft
+    limits that are too low are raised. Raises OSError if a hard limit is too low."""
     needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
     for which, least, remedy in needed:
         soft, hard = resource.getrlimit(which)

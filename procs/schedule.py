@@ -23,16 +23,19 @@ QUICK = 10
 """How many pings are sent in quick succession at first. Telemetry, which reads the answers, takes some tenths of a
 second to start. Until it has read an answer, nobody knows whether the board hears."""
 AGAIN_AFTER_STOP = 4
-"""How many more pings follow the first one after a stop. If telemetry died, answers from before the stop may be lost,
-so the first answer after it may belong to an older ping. The further pings show which ping was answered."""
+"""How many more pings follow the first ping after a stop. If telemetry has died, answers to pings from before the stop
+may be lost. The first answer after the stop may then belong to an older ping. The further pings show which ping was
+answered."""
 
 
 class Repeats:
-    """When to repeat the last stop, and to send zeros after that. `due`: the timer for the next frame."""
+    """When to repeat the last stop, and when to send the zeros that follow the repeats. `due`: the timer for the next
+    frame."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
-        written, or after the last repeat if that is later. Each process that writes stops has its own times."""
+        written. If a repeat comes later than that, it is the time from the last repeat to the first zero. Each process
+        that writes stops has its own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -109,9 +112,9 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Call it when another port was opened, whose board hears from `hears_ns` on. The first pings come as quickly
-        as at the start, because an answer from this board may seem to answer a ping that was lost with the port
-        before."""
+        """Call it when another port was opened. Its board hears from `hears_ns` on. The first pings come as quickly as
+        at the start. The reason is that a ping may have been lost with the previous port, so an answer from this board
+        may seem to answer the lost ping."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 
@@ -121,5 +124,5 @@ class Pings:
         self._due.set(max(self._due.ns, until_ns))
 
     def failed(self, now_ns: int) -> None:
-        """Call it when the port accepted no bytes. The ping is tried again after the gap."""
+        """Call it when the port accepted no bytes. The ping is tried again after PING_GAP_NS."""
         self._due.set(now_ns + PING_GAP_NS)
