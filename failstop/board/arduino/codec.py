@@ -3,8 +3,8 @@ with one line.
 
 Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checksum, so its form must protect it:
 
-- The stop begins with a CR, which ends any line that was cut before. Without this CR, the board would read the stop as
-  more digits of the cut line, and then execute that line.
+- The stop begins with a CR. If the line before the stop was cut short, this CR ends it. Without the CR, the board would
+  read the stop as more digits of the cut line, and then execute that line.
 - Both speeds carry their sign, and a comma ends the first speed. The firmware's atoi stops reading at a sign or a
   comma. So the digits of two joined lines, or of two speeds that lost the space between them, can't become one larger
   speed unless three bytes are lost. A letter in place of the comma would be worse, because the board could take the
@@ -25,7 +25,7 @@ from failstop.board.wire import Answer, Sample, Wheels
 
 STOP = b"\rm 0 0\r"
 BAUD_RATE = b"b\r"
-"""A question that changes nothing on the board. The answer is 57600."""
+"""The question for the board's baud rate. It changes nothing on the board, and the board answers 57600."""
 POSITIONS = b"e\r"
 LIMIT = 999.0
 UNIT = "encoder ticks per 33 ms"
@@ -43,7 +43,8 @@ _MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
-"""How many bytes of an answer are kept: two counts of 11 characters, and a few more."""
+"""How many bytes of an answer are kept. The longest answer has two counts of up to 11 characters each, and is shorter
+than this."""
 
 
 def _written(left: float, right: float) -> bytes:
@@ -55,8 +56,8 @@ REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def check_aux(frame: bytes) -> str:
-    """Say why these bytes must not be written as a line that sets a pin. Returns "" if they may be written. Such a line
-    has one of the commands w (digital), x (PWM) or c (the pin's direction)."""
+    """Say why these bytes must not be written as a line that sets a pin. Returns "" if they may be written. A line that
+    sets a pin has the command w (digital), x (PWM) or c (the pin's direction)."""
     found = _AUX.fullmatch(frame)
     if not found:
         return "no line that sets a pin"

@@ -1,13 +1,14 @@
-"""The lines that a driver may write to ros_arduino_bridge, and the answers that it waits for.
+"""The lines that a driver may write to ros_arduino_bridge, and the answers that the driver gets.
 
 The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last letter
-before the first space. Two arguments follow, each after one space, and any further space changes nothing. A CR runs the
-line with whatever it contains by then. Numbers are read as atoi reads them, into 16 bits. An argument of more than 15
-bytes would overwrite the memory next to it on the board, so a line with such an argument is refused.
+before the first space. Two arguments follow, each after one space, and any further space changes nothing. A CR ends the
+line, and the board then executes it, even if an argument is missing. Numbers are read as atoi reads them, into 16 bits.
+An argument of more than 15 bytes would overwrite the memory next to it on the board, so a line with such an argument is
+refused.
 
 Every line gets one answer, in order. If diffdrive_arduino misses the answer to `e`, or gets a different one, it reads
-the counts as 0 0. If hbrobotics' node gets any answer but `OK` to `u r w x c s m`, it asks again forever. So a refused
-line is answered as the board would answer it, but has no effect.
+the counts as 0 0. The commands u, r, w, x, c, s and m are answered with `OK`. If hbrobotics' node gets another answer
+to one of them, it asks again forever. So a refused line has no effect, but gets the answer that the board would give.
 """
 
 from __future__ import annotations
@@ -33,21 +34,22 @@ _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
 """The highest speed of a wheel, in counts per second."""
 _NEAR_ZERO = _FASTEST / 4
-"""If a counter is this close to 0, the board may have restarted, because a restarted board counts from 0 again and is
-soon asked for its counts."""
+"""If a counter has jumped and is now at most this far from 0, the board has restarted. A restarted board counts from 0
+again, and failstop asks for its counts so soon that they are still small."""
 _WRAPS = 2**32
 _OK = b"OK\r\n"
 _INVALID = b"Invalid Command\r\n"
 _REST = (0.0, 0.0)
 
 PATIENCE_NS = 1_000_000_000
-"""How long a driver waits for an answer: the default timeout of diffdrive_arduino. hbrobotics' node waits longer."""
+"""How long a driver waits for an answer, in ns. This is the default timeout of diffdrive_arduino, and hbrobotics' node
+waits longer."""
 _LOST_NS = 100_000_000
-"""If the board leaves a question for counts unanswered for this long, in ns, the question is asked again. failstop
-itself asks ten times a second."""
+"""If the board has not answered a question for its counts after this time, in ns, a driver's next `e` asks it again.
+failstop also asks for the counts itself, ten times a second."""
 _STEADY_NS = 200_000_000
-"""If a driver asks for counts at least this often, it gets the counts that the board reported after the driver's
-previous question."""
+"""A driver's question for counts is answered with the board's answer to the driver's previous question, if that answer
+is younger than this, in ns. An older answer is not used. The driver then gets the newest counts instead."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -64,17 +66,18 @@ _WITHOUT_EFFECT = {
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
 """Commands that change nothing on the board. Each has its answer, its name, and the reason why it has no effect. `r` is
-not refused, because it only sets the counts that the driver sees to zero."""
+not refused. It resets the counts, but failstop keeps the driver's counts itself, so only these become zero."""
 
 
 class ArduinoDriver:
-    """One driver's lines, and the counts that it sees. The counts begin at 0, because on the bare board, opening the
-    port resets the board.
+    """One driver's lines, and the counts that failstop reports to this driver. The counts begin at 0. A driver expects
+    this, because without failstop, opening the port resets the board.
 
-    When the driver sends `e`, it is answered at once, and the board is asked for its next counts. The answer has the
-    counts that the board reported after the driver's previous `e`. So if a driver asks at a steady rate, its counts are
-    always as old as the time between two of its questions. failstop also reads counts for itself, but their age would
-    vary. A driver gets those counts only if it asks too seldom.
+    When the driver sends `e`, failstop answers at once, and asks the board for new counts. The answer to the driver has
+    the counts that the board reported after the driver's previous `e`. So if a driver asks at a steady rate, its counts
+    are always as old as the time between two of its questions. failstop also reads the counts for its own use, but at
+    other times, so the age of these counts varies. A driver gets these counts only if it asks less often than every 200
+    ms (_STEADY_NS).
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
@@ -93,12 +96,13 @@ class ArduinoDriver:
         """The board's counters in its newest report."""
         self._counted_ns = 0
         self._counts = [0, 0]
-        """The newest counts, as the driver sees them."""
+        """The newest counts, with the zero point that the driver knows: 0 when the driver opened the port, or when it
+        sent `r`."""
         self._kept, self._kept_ns = [0, 0], -_STEADY_NS
-        """The counts that the board reported to the driver's last `e`, and the time of this report."""
+        """The counts that the board reported after the driver's newest `e`, and the time of this report."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its lines."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         rows: list[Row] = []
         for byte in chunk:
             if byte == _CR:
@@ -116,7 +120,8 @@ class ArduinoDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the counts that the board reports. Nothing is passed on, because this board only answers."""
+        """Keep the counts that the board reports. Always returns an empty list, because the board sends only answers,
+        and failstop has already answered the driver itself."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
                 left, right = sample.positions
@@ -126,8 +131,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Go on with the counts of the conversation before. If the counts began at zero again, the driver's odometry
-        would jump."""
+        """Copy the driver's counts from `before`, which is the driver's ArduinoDriver until the service restarted. If
+        the counts began at zero again, the driver's odometry would jump."""
         self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -170,15 +175,16 @@ class ArduinoDriver:
         return [DriverRefusal(what, why), DriverMotion(_REST, refused=True), DriverAnswer(_INVALID)]
 
     def _ask(self, now_ns: int) -> list[Row]:
-        """Return the question for the next counts. Empty if an earlier question still waits for its answer."""
+        """Return the question for the board's counts. Returns an empty list while an earlier question waits for its
+        answer."""
         if self._asked_ns and now_ns - self._asked_ns < _LOST_NS:
             return []
         self._asked_ns = now_ns
         return [DriverFrame(codec.POSITIONS, "counts")]
 
     def _pin(self) -> DriverFrame | None:
-        """Return the line in failstop's own spelling, if it sets a pin that the driver may set. None for any other
-        line."""
+        """If the driver's line sets a pin that the driver may set, return this line as failstop writes it. Returns None
+        for any other line."""
         command = chr(self._command)
         pin, value = (_atoi(bytes(argument)) for argument in self._arguments)
         line = f"{command} {pin} {value}\r".encode()
@@ -205,12 +211,13 @@ def _atoi(text: bytes) -> int:
 
 
 def _wrapped(count: int) -> int:
-    """Return the count as it wraps around in the board's 32-bit counters."""
+    """Return the count wrapped around to a signed 32-bit number, as the board's counters wrap."""
     return (count + _WRAPS // 2) % _WRAPS - _WRAPS // 2
 
 
 def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
-    """Begin a driver's conversation. Raises ValueError if the setting guard.pins names a pin that may drive a motor."""
+    """Make an ArduinoDriver for a program that has opened the guard port. Raises ValueError if the setting guard.pins
+    names a pin that may drive a motor."""
     words = str(settings.get("guard.pins", "")).split()
     pins = [int(word) if word.isdigit() else -1 for word in words]
     if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:

@@ -1,4 +1,4 @@
-"""What the settings must know about an Arduino with ros_arduino_bridge before a Board is made."""
+"""Facts about an Arduino with ros_arduino_bridge. failstop needs them to read the settings, before it makes a Board."""
 
 from __future__ import annotations
 

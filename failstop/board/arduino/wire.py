@@ -1,11 +1,11 @@
 """The wire of ros_arduino_bridge. A CR comes before each stop, and failstop limits how many lines may be unanswered,
 because the board can hold only a few answers.
 
-The board answers a stop with 21 bytes, three times the length of the stop, and the question for positions with 25. When
-63 bytes of answers wait to be sent, the firmware waits. Meanwhile its receive buffer fills up, which also holds 63
-bytes, and then drops the newest bytes. These could be a stop, or the sign and the space between two numbers. With two
-unanswered lines and 15 joined stops, which is all that three writers repeat, nothing is lost
-(tests/board/test_stop_of_every_board.py).
+The board answers a stop with 21 bytes, which is three times the length of the stop, and the question for positions with
+25 bytes. When 63 bytes of answers wait to be sent, the firmware stops reading lines. Meanwhile its receive buffer,
+which also has room for 63 bytes, fills up and then drops the newest bytes. The dropped bytes could be a stop, or the
+sign and the space between two numbers. If at most two lines wait for an answer, nothing is lost, even if 15 stops
+arrive without a gap (tests/board/test_stop_of_every_board.py). Three writers together repeat no more than 15 stops.
 
 The USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR). A clone has the identity of
 its adapter chip, so clones are not listed.

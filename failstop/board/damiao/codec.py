@@ -6,15 +6,16 @@ vendor's Python host (cmjang/DM_Control_Python 7da9387), and two other hosts: da
 
 A motor takes a speed under the CAN id 0x200 plus its own id, in rad/s of its output shaft, as a little-endian float.
 Under its own id it takes `ff ff ff ff ff ff ff` and one more byte: fc enables the motor, fd disables it, and fb clears
-a fault. Under 0x7ff its registers are read (33) and written (55), and cc asks for a report. A written register keeps
-its value until the power goes off. A motor answers every frame with a report: its status and id, position, speed,
-torque and temperatures.
+a fault. A frame with the CAN id 0x7ff names a motor and a command: 33 reads a register of this motor, 55 writes one,
+and cc asks for a report. A written register keeps its value until the power goes off. A motor answers every frame with
+a report, which has the motor's status and id, position, speed, torque and temperatures.
 
 A stop is a speed of zero: the motor brakes and holds. Disabling it would let it roll.
 
 Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for that long switches itself off,
 and rolls until somebody clears this fault. So before the first motion after each enable, failstop clears the faults and
-enables the motors. If a motor switches itself off while it drives, this counts as a restart, which stops the others.
+enables the motors. If a motor switches itself off while it drives, failstop treats this as a restart of the board, and
+stops the other motors.
 """
 
 from __future__ import annotations
@@ -44,21 +45,23 @@ if TYPE_CHECKING:
 
 UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
-"""The highest speed of the fastest of these motors (DM-H3510), in rad/s."""
+"""The highest speed of Damiao's fastest motor for this board, the DM-H3510, in rad/s."""
 MOST = 4
 """How many motors the largest base has. A stop is always for this many motors."""
 STEPS = 64
-"""How many steps of speed make 1 rad/s. Speeds are sent in whole steps, each of which a float holds exactly."""
+"""How many steps of speed make 1 rad/s. Speeds are sent in whole steps, because a float can hold each whole step
+exactly."""
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
 READ, WRITE, REPORT = 0x33, 0x55, 0xCC
 ENABLE, CLEAR = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfb"
 MOST_REGISTER = 81
 TIMEOUT, MODE, P_MAX, V_MAX = 9, 10, 21, 22
-"""The registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and
-speeds."""
+"""The numbers of four registers. TIMEOUT has the watchdog's time, and MODE says whether the motor is commanded by
+speed, by position or by torque. P_MAX and V_MAX are the largest position and the largest speed that a report can
+have."""
 ASKED = (TIMEOUT, MODE, P_MAX, V_MAX)
-"""The registers that failstop's questions read. Each question reads another register, so an answer shows which question
-it belongs to."""
+"""The registers that failstop's questions read. Each question reads a different register, so an answer shows which
+question it belongs to."""
 SPEED_MODE = 3
 TICK_NS = 50_000
 MOST_TICKS = 0xFFFFFFFF
@@ -74,19 +77,21 @@ FAULTS = {
     14: ("it is overloaded", SERVO_LOAD),
 }
 OFF_AFTER = 3
-"""If this many reports in a row say that an enabled motor is off, it is off. A single report may say so while the motor
-is being enabled again."""
+"""If an enabled motor reports this many times in a row that it is off, failstop believes it. A single report may say so
+because failstop is just enabling the motor again."""
 DIFFERS = 2
-"""If this many answers in a row differ from the value to which a register was set, the motor has lost that value."""
+"""If a motor's answers about a register show another value than the one that was set, this many times in a row, the
+motor has lost the value that was set."""
 MISSES = 4
-"""If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A few lost
-answers are normal, because a CANable drops a frame for the computer that comes while it still sends the one before."""
+"""A motor counts as missing if it leaves this many questions in a row unanswered while another motor answers. A few
+lost answers are normal. For example, a CANable drops a motor's answer if it is still sending an earlier answer to the
+computer."""
 REPORT_EVERY = 20
 """After this many answers the temperatures are reported, which is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
-"""A reported speed has 12 bits, so zero (_MIDDLE) is between two of its values. A speed that is closer to zero than
-_NOISE may be noise."""
+"""A reported speed is a number from 0 to 4095. _MIDDLE means that the motor is at rest. It is halfway between two
+numbers, so no report has exactly this speed. A number that differs from _MIDDLE by _NOISE or less may be noise."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
@@ -131,13 +136,14 @@ class Motors:
         return b"".join(lines)
 
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
-        """Return the frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        """Return the frame that sets the speeds of all motors. Raises FrameError if a speed is not within plus or minus
+        `limit`."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, UNIT)
         return _lines([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """Return the speeds in a frame for all motors, or None for other bytes."""
+        """Return the speeds of all motors, as a motion frame sets them. Returns None for other bytes."""
         *lines, end = frame.split(slcan.CR)
         if end or len(lines) != self.wheels:
             return None
@@ -164,8 +170,8 @@ class Motors:
 
     def check_aux(self, frame: bytes) -> str:
         """Say why these bytes must not be written as a frame that is not motion. Returns "" for a question that reads a
-        register, the only frame that may be written. The register must exist, because a question for a higher number
-        could become a value for a register if two of its characters were lost."""
+        register, and refuses everything else. The register must exist. If a question had a higher register number and
+        two of its characters were lost, the motor could read the rest as a command to write a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -183,8 +189,8 @@ class _Motor:
     def __init__(self) -> None:
         self.v_max = 0.0
         self.level: int | None = None
-        """The speed in the motor's newest report, in steps of its scale. None if no report came since the speeds of all
-        motors were last returned."""
+        """The speed in the motor's newest report, as the number in the report. None if the motor has reported no speed
+        since the speeds of all motors were last returned."""
         self.obeys = False
         """True if the motor has reported that it is enabled, or if failstop has enabled all motors (Motors.arm)."""
         self.off = 0
@@ -192,7 +198,7 @@ class _Motor:
         self.set = False
         """True if the motor's registers should have the values that Motors.arm sets."""
         self.differs = {TIMEOUT: 0, MODE: 0}
-        """How many answers in a row differ from the value that was set, for each of these registers."""
+        """For each of these two registers, how many answers in a row differ from the value that was set."""
         self.wrong = self.heat = self.misses = 0
 
 
@@ -203,7 +209,8 @@ class Replies(Reader):
         self._lines = slcan.Lines()
         self._motors = {motor: _Motor() for motor in range(1, count + 1)}
         self._set = {MODE: _COUNT.pack(SPEED_MODE)}
-        """The values to which the registers of all motors were set, as the motors' answers show them."""
+        """For each register that failstop sets, the value that it was set to, which is the same for all motors. TIMEOUT
+        is added when a motor answers that it has accepted the watchdog's time."""
         self._asked = 0
         """The register that the newest question asks for."""
         self._answered: set[int] = set()
@@ -227,9 +234,9 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """Handle a motor's answer that it has accepted a value for a register. failstop sets the watchdog's time while
-        it enables all motors (Motors.arm). So from then on every motor should obey, even if one of them has missed its
-        frame."""
+        """Handle a motor's answer that it has accepted a value for a register. If the register is the watchdog's time,
+        failstop has just enabled all motors (Motors.arm). So from then on, every motor counts as enabled. If a motor
+        has missed the frame that enables it, its reports will show that it is off."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -253,9 +260,9 @@ class Replies(Reader):
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 
     def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
-        """Return a sign of a restart if a motor has lost a value that Motors.arm has set. Without the mode, a speed
-        would mean something else to the motor. Without the time, its watchdog would not act. A single answer may be
-        garbled, so more than one must differ."""
+        """Return a Restarted if a motor has lost a value that Motors.arm has set. A motor that is no longer in speed
+        mode would misunderstand a speed command. A motor that has lost its watchdog's time would not stop itself. A
+        single answer may be garbled, so several answers in a row must differ (DIFFERS)."""
         motor = self._motors[number_]
         if not motor.set or index not in motor.differs:
             return []

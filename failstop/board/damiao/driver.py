@@ -1,20 +1,21 @@
-"""The lines that a driver may write to a slcan adapter with Damiao's motors, and what it hears.
+"""The lines that a driver may write to a slcan adapter with Damiao's motors, and the answers that the driver gets.
 
 A driver opens the adapter, enables each motor, and then sets its speed. This is what damiao-motor 1.0.6 does through
 the slcan of python-can 4.6.1, and what the vendor's DM_Control_Python (7da9387) and openarm_can behind slcand (9866604)
-do. A speed frame may have four bytes or more, and lower-case digits, because the adapters accept both. Each frame for a
-motor is answered with the motor's newest report, whose status is the one that the driver has given it. A driver's
-question for a register is passed on to the motor, and the answer is passed back. Answers to failstop's own questions
-are not passed on.
+do. A speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept both.
+failstop answers each frame for a motor with the motor's newest report. The status in this answer says whether the
+driver has enabled the motor, unless the motor has reported a fault. A driver's question for a register is passed on to
+the motor, and the answer is passed back. Answers to failstop's own questions are not passed on.
 
-failstop itself enables the motors and opens the adapter. So when a driver enables, disables, opens or closes something,
-this is only remembered. After a driver has closed the adapter, or disabled a motor, it moves nothing until it has
-opened or enabled it again. Commands for a torque or a position are refused, and the wheels stop, because failstop can't
-limit their speed.
+failstop itself enables the motors and opens the adapter. So when a driver opens or closes the adapter, or enables or
+disables a motor, failstop passes nothing on, and only remembers the driver's command. If the driver has closed the
+adapter, it moves no motor until it opens the adapter again. If the driver has disabled a motor, it can't move this
+motor until it enables the motor again. Commands for a torque or a position are refused, and the wheels stop, because
+failstop can't limit their speed.
 
-The wheels also stop after a line that is not whole. A CANable would complete it with digits of an older line, so it
-could mean anything. After that, nothing moves until the driver has opened the adapter again, has read or set the speed
-mode, and has enabled each motor.
+The wheels also stop after an incomplete line. A CANable would complete the line with digits of an older line, so the
+line could mean anything. After that, nothing moves until the driver has opened the adapter again, has read or set the
+speed mode, and has enabled each motor.
 """
 
 from __future__ import annotations
@@ -32,14 +33,16 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""How long damiao-motor waits for an answer about a register."""
+"""How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""A time within which every motor has sent a report."""
+"""A new DamiaoDriver is first given what the motors sent during this time before the driver opened the port, in ns.
+Every motor sends at least one report in this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
 _LONGEST = 30
-"""After this many characters of a line, a CANable drops them and begins a new line."""
+"""If a line is longer than this many characters, a CANable drops these characters and begins a new line with the next
+one."""
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
@@ -66,7 +69,9 @@ class DamiaoDriver:
         self._speeds = [0.0] * motors
         self._enabled = [True] * motors
         self._takes_speeds = [True] * motors
-        """True for each motor that is in speed mode, as far as the driver has said."""
+        """True for each motor that is in speed mode. It becomes False if the driver asks for another mode, or writes a
+        line that could mean anything. It becomes True again when the driver sets the speed mode, or reads from the
+        motor that it is set."""
         self._open = True
         self._line = b""
         self._heard = slcan.Lines()
@@ -76,14 +81,14 @@ class DamiaoDriver:
         """The driver's questions for registers that have no answer yet, by motor and register."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its lines."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         *lines, rest = (self._line + chunk).split(slcan.CR)
         self._line = rest[: _LONGEST + 1]
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the motors' reports, which answer the driver's next frames. Answers about registers are passed on if the
-        driver has asked for them."""
+        """Keep the motors' reports, because failstop answers the driver's next frames with them. Returns the motors'
+        answers about registers that the driver has asked for."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):
             if can_id >= codec.SPEED_ID:
@@ -99,9 +104,9 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """Handle one line without its end. A CANable repeats its last command at an empty line, but here an empty line
-        does nothing. A line of zeros does nothing either: it is not a command, wherever the adapter begins a new line
-        in it."""
+        """Handle one line without its end. An empty line does nothing here, although it makes a CANable repeat its
+        newest command. A line of zeros does nothing either. Even if the adapter splits a long line of zeros into
+        several lines, none of them is a command."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []
@@ -157,8 +162,9 @@ class DamiaoDriver:
         return [self._motion(), *self._report(motor)]
 
     def _switch(self, motor: int, what: int) -> list[Row]:
-        """Enable a motor, disable it, or clear its fault. Enabling a disabled motor or disabling one sets its speed to
-        zero. A request to set the zero of its position is refused."""
+        """Handle the driver's command to enable a motor, to disable it, or to clear its fault. When a motor becomes
+        enabled or disabled, its speed becomes zero. A command that makes the motor's present position its new zero
+        position is refused."""
         if what == _ZERO:
             return [
                 DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),
@@ -187,7 +193,8 @@ class DamiaoDriver:
         return [DriverRefusal(what_for, "it was not passed on")]
 
     def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
-        """Answer or refuse a value for a register. failstop has already set the speed mode and the watchdog itself."""
+        """Handle the driver's command to write a register. The speed mode and the watchdog's time are answered as if
+        the motor had accepted them, because failstop has already set both itself. All other values are refused."""
         if index == codec.TIMEOUT:
             refused = DriverRefusal(
                 "the time of the motors' watchdog", "failstop sets it itself: this was only answered"
@@ -201,7 +208,7 @@ class DamiaoDriver:
         return [DriverRefusal(f"another mode for motor {motor}", _USE_SPEEDS), *self._stop()]
 
     def _taken(self, motor: int, data: bytes) -> list[Row]:
-        """Return the answer of a motor that has accepted a value for a register."""
+        """Return the answer that a motor gives when it has accepted a value for a register."""
         can_id, _ = self._reports.get(motor, (0, b""))
         return [DriverAnswer(slcan.line(can_id, data))]
 
@@ -226,6 +233,7 @@ class DamiaoDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
-    """Begin a driver's conversation. The number of motors is one more than the highest wheel id in the settings."""
+    """Make a DamiaoDriver for a program that has opened the guard port. The number of motors is one more than the
+    highest wheel id in the settings."""
     ids = [int(value) for key, value in settings.items() if key.startswith("wheels.id_")]
     return DamiaoDriver(1 + max(ids, default=1))

@@ -1,4 +1,4 @@
-"""What the settings must know about Damiao's motors before a Board is made."""
+"""Facts about Damiao's motors. failstop needs them to read the settings, before it makes a Board."""
 
 from __future__ import annotations
 

@@ -8,7 +8,8 @@ A line has no checksum, and the two CANables execute whatever comes before a car
 take the missing digits from the line before it. An empty line makes them repeat the last command. So FLUSH comes before
 each stop. It is longer than any line that these adapters keep, so they drop whatever was cut. An adapter that keeps
 longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and does not
-change its direction, because the digits that count most come last, so they become 0.
+change its direction. The speed is a little-endian float, so its sign and its exponent come last, and it is these digits
+that become 0.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ FLUSH = b"0" * 160 + CR
 """A CANable drops a line of more than 30 characters, and a CANable 2 one of more than 155. FLUSH is longer than both,
 and is not a command itself."""
 OPEN = b"S8\rO\r"
-"""Sets 1 Mbit/s and opens the channel. A CANable whose channel is open ignores both commands, so no waiting frame is
-lost."""
+"""The commands that set 1 Mbit/s and open the channel. A CANable whose channel is already open ignores both commands,
+so it loses none of the frames that it still has to send."""
 _HEAD = 5
 """How many characters of a line come before its data."""
 _DIGITS = frozenset(b"0123456789abcdefABCDEF")
 _KEPT = 64
-"""How many characters of an incomplete line are kept. An adapter sends no longer line."""
+"""How many characters of an incomplete line are kept. Every line that an adapter sends is shorter than this."""
 
 
 def line(can_id: int, data: bytes) -> bytes:

@@ -51,8 +51,8 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
-    """Make the description for this many motors, with the CAN ids 1, 2 and so on. If `speeds` is 0, the number is not
-    known yet, and questions go to two motors only."""
+    """Make the description of a base with `speeds` motors, which have the CAN ids 1, 2 and so on. If `speeds` is 0, the
+    number of motors is not known yet, and questions go to two motors only."""
     motors = codec.Motors(speeds or USUAL)
     return Wire(
         name=f"{speeds} Damiao motors behind a slcan adapter" if speeds else "Damiao motors behind a slcan adapter",

@@ -1,8 +1,8 @@
 """The arm on the wheels' bus: servos in position mode, which count 4096 steps per turn.
 
-A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period ahead. If no next
-goal comes, a servo stays at its last one, with its torque on. No frame of this module addresses a wheel. Only frames
-for positions, torques and reads pass its check.
+A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period ahead. If a servo
+gets no new goal, it stays at the goal that it got last, with its torque on. No frame of this module addresses a wheel.
+Only frames for positions, torques and reads pass its check.
 """
 
 from __future__ import annotations
@@ -58,11 +58,13 @@ class FeetechArm(ServoBus):
         self._byte_ns = port.byte_ns
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Empty, because a servo that gets no next goal stays at its last one, with its torque on."""
+        """Always returns no bytes. A servo that gets no new goal stays at the goal that it got last, with its torque
+        on."""
         return b""
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Return the goals for a few servos, in one frame. Each servo chooses itself how long its small step takes."""
+        """Return one frame with a new goal for each of these servos. `duration_ms` and `longest_ms` are ignored,
+        because a servo goes to its goal as fast as it can, and the goal is only a small step away."""
         return _goals(positions)
 
     def read(self, servo: int, what: int) -> bytes:
@@ -70,8 +72,8 @@ class FeetechArm(ServoBus):
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Return the packet that asks a few servos for their positions at once (a sync read). They may be at most as
-        many as the wheels."""
+        """Return the packet that asks a few servos for their positions at once (a sync read). At most three servos can
+        be asked at once, as many as there are wheels."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
@@ -83,7 +85,7 @@ class FeetechArm(ServoBus):
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
     def command(self, frame: bytes) -> int:
-        """Return the command in a frame, found by the address that the frame reads or writes."""
+        """Return the command in a frame. The address that the frame reads or writes shows which command it is."""
         if frame[4] in (codec.READ, codec.SYNC_READ):
             return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
         if frame[5] == codec.TORQUE_SWITCH:
@@ -91,8 +93,8 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Say why a frame must not be written. Returns "" if the methods above make exactly the same bytes from the
-        fields of the frame, and all its servos are among `servos`."""
+        """Say why a frame must not be written. Returns "" if this class makes exactly the same bytes from the frame's
+        fields, and if all servos in the frame are among `servos`."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
@@ -102,7 +104,7 @@ class FeetechArm(ServoBus):
         return next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
 
     def _made_again(self, frame: bytes) -> tuple[list[int], bytes]:
-        """Return the servos in a frame, and the frame that the methods above make from its fields."""
+        """Return the servos in a frame, and the frame that this class itself makes from the same fields."""
         if frame[4] == codec.READ:
             return [frame[2]], self.read(frame[2], self.command(frame))
         if frame[4] == codec.SYNC_READ:
@@ -118,8 +120,8 @@ class FeetechArm(ServoBus):
         return ids, _goals(moves)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Return the goals in a frame. The duration of each is 0, because a servo moves to its goal as fast as it
-        can."""
+        """Return the goals in a frame as (id, position, duration). The duration is always 0, because a servo moves to
+        its goal as fast as it can."""
         try:
             goals = _rows(frame)
             return [(servo, at, 0) for servo, at in goals] if frame == _goals(goals) else []
@@ -127,6 +129,7 @@ class FeetechArm(ServoBus):
             return []
 
     def held_ns(self, frame: bytes) -> int:
-        """Return how long a frame or its answer takes on the line, in ns."""
+        """Return how long a frame takes on the line, in ns. For a question, return how long the servos take to
+        answer."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
         return asked * ANSWER_NS or len(frame) * self._byte_ns

@@ -32,18 +32,19 @@ TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""How many bytes of each wheel's memory the two questions read, beginning at the goal speed. An answer does not say
-which question it belongs to, but its length does."""
+"""failstop asks the wheels two different questions. They read this many bytes of each wheel's memory, beginning at the
+goal speed. An answer does not name its question, but the answer's length shows which question it was."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
-which question it belongs to. The read of the position also covers the load and the temperature, which follow it."""
+which question it belongs to. The question for the position also reads the load and the temperature, which come after
+the position in the servo's memory."""
 REPORT_EVERY = 10
 """After this many answers of the wheels, the supply and the servos' health are reported, which is about once a
 second."""
 
 MISSES = 2
-"""If a wheel leaves this many questions in a row unanswered while another one answers, it is missing. A single answer
-may be garbled on the line."""
+"""A wheel counts as missing if it leaves this many questions in a row unanswered while another wheel answers. One lost
+answer is not enough, because it may have been garbled on the line."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
@@ -62,9 +63,9 @@ def packet(servo: int, instruction: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
-    """Return the packet that writes to this address of several servos. Each row has a servo's id, then the bytes for
-    it. No servo answers such a packet. List the ids one by one, and never write a speed to all servos at once: for a
-    servo in position mode, speed 0 means its fastest speed."""
+    """Return the packet that writes to this address of several servos. `rows` has each servo's id, followed by the
+    bytes for this servo. No servo answers such a packet. List the ids one by one, and never write a speed to all servos
+    at once: for a servo in position mode, speed 0 means its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 
@@ -91,7 +92,8 @@ def _written(speeds: Sequence[float]) -> bytes:
 
 
 def motion(speeds: Sequence[float], limit: float) -> bytes:
-    """Return the packet that sets all wheels, each within plus or minus `limit`. Raises FrameError."""
+    """Return the packet that sets the speeds of all wheels. Raises FrameError if a speed is not within plus or minus
+    `limit`."""
     counted("speeds", speeds, len(WHEELS), len(WHEELS))
     number("limit", limit, 0.0, LIMIT, UNIT)
     return _written([number("speed of a wheel", speed, -limit, limit, UNIT) for speed in speeds])
@@ -101,17 +103,18 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""Zeros that complete any cut packet of this module, and any cut answer, because less than this is missing. The bytes
-after them are not taken for a speed."""
+"""Zeros that complete any packet of this module, or any answer, that was cut short. They are enough, because the
+longest missing part is shorter. So a servo never reads the bytes after FILLER as a speed in the cut packet."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
-"""The packet with which failstop stops the wheels. After a cut packet, its first stop is received at once. If it
-collides with the answer of a servo, a later one of its stops is received after the answer. If a length was garbled, the
-servo first waits for up to 255 bytes."""
+"""The bytes with which failstop stops the wheels: seven stops, with FILLER before each. If a packet before the burst
+was cut short, the servos still receive the first stop. If a servo is just answering, the answer garbles the first
+stops, but the servos receive the stops after the answer. If a servo has read a garbled length, it waits for up to 255
+bytes before it receives a stop."""
 
 BEFORE_QUESTION = FILLER * 2
-"""Bytes that come before each question. A servo that read a garbled length waits for up to 255 bytes, and does not
-answer meanwhile. With these bytes it answers the fifth question after the noise at the latest."""
+"""Zeros that come before each question. A servo that has read a garbled length waits for up to 255 bytes, and answers
+no question meanwhile. The zeros count as some of these bytes, so the servo answers the fifth question at the latest."""
 
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
@@ -137,8 +140,8 @@ def check_motion(frame: bytes, limit: float) -> str:
 
 
 def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
-    """Return the report in an answer to one of READS. A servo answers a write without data, so such an answer has no
-    report."""
+    """Return the report in an arm servo's answer to one of the questions in READS. Returns an empty list for other
+    answers. For example, a servo's answer to a write has no data, so it reports nothing."""
     found = [what for what, (_, size) in READS.items() if size == len(data)]
     if not found or servo in WHEELS:
         return []
@@ -149,7 +152,8 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
 
 
 class Replies(Reader):
-    """Decodes the servos' answers. The wheels' answers count only when all three have come, in the order of WHEELS."""
+    """Decodes the servos' answers. The answers of the three wheels to a question count only together, if they come in
+    the order of WHEELS."""
 
     def __init__(self) -> None:
         self._kept = b""
@@ -159,9 +163,9 @@ class Replies(Reader):
         """The error byte in the newest answer of each servo."""
         self._misses = dict.fromkeys(WHEELS, 0)
         self._last, self._size = len(WHEELS) - 1, 0
-        """The place in WHEELS of the wheel that answered last, and how many bytes its answer had."""
+        """The wheel whose answer is the newest, by its place in WHEELS, and the number of data bytes in this answer."""
         self._last_report: dict[int, int] = {}
-        """What was wrong with each servo when this was last reported."""
+        """What is wrong with each servo, as it was reported the last time (see _wrong)."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -202,8 +206,9 @@ class Replies(Reader):
         return found
 
     def _count_misses(self, at: int, size: int) -> bool:
-        """Count the misses after a wheel has answered. Wheels answer in the order of WHEELS, so the wheels between this
-        one and the one that answered last have missed the question. Returns True if one of these is now missing."""
+        """Count the missed answers of all wheels, after an answer of the wheel at place `at` of WHEELS. Wheels answer
+        in the order of WHEELS. So if a wheel's turn was between the previous answer and this answer, that wheel has
+        missed the question. Returns True if a wheel that has missed the question now counts as missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:

@@ -1,14 +1,16 @@
-"""The packets that a driver may write to Feetech's STS servos, and the answers it waits for. The driver is LeRobot's
-LeKiwi host.
+"""The packets that a driver may write to Feetech's STS servos, and the answers that the driver gets. The driver is
+LeRobot's LeKiwi host.
 
-Packets are read byte by byte as a servo reads them: it waits for the rest of a packet forever and looks at no byte
-twice. Only the wheels' goal speeds move anything. What the driver reads comes from a table for each servo. The table
-begins with the settings' ranges and offsets and with the values that LeKiwi's servos are set to. Where the driver may
-write, the table then has what the driver has written. From address 46 on for a wheel, and from 56 on for a joint, it
-has what the servo reported last. A value that nobody has read yet is not answered.
+Packets are read byte by byte, as a servo reads them. A servo waits forever for the rest of a packet, and never goes
+back to a byte that it has already read. Only the wheels' goal speeds move anything. What the driver reads comes from a
+table for each servo. At first the table has the ranges and offsets of the settings, and the values to which LeKiwi's
+servos are set. If the driver writes a wheel's goal speed, a torque or the lock, the table keeps this value. Addresses
+56 to 64 have what the servo reported last. While the servo has not reported one of these values, a question for the
+value gets no answer.
 
-Every question and every write to one servo is answered, even if the write is refused, because LeRobot's host ends when
-an answer is missing. Only wheels and the joints of the settings answer. Any other servo seems not to be connected.
+All other questions, and all writes to one servo, are answered, even if the write is refused. Otherwise LeRobot's host
+would exit, because it does so when an answer is missing. Only the wheels and the joints of the settings answer. To the
+driver, all other servos seem to be unplugged.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """
@@ -25,11 +27,13 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 34_000_000
-"""The timeout of feetech-servo-sdk. LeRobot waits 50 ms. A late answer would be taken for the answer to the next
-question, and so would every answer after it."""
+"""How long a host waits for an answer, in ns. This is the timeout of feetech-servo-sdk, and LeRobot waits longer, for
+50 ms. If an answer came too late, the host would take it for the answer to its next question. From then on, the host
+would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""How much of the servos' past answers a new driver is given. It is long because the service asks a joint at rest for
-its position about every two seconds, while a host asks at once."""
+"""A new FeetechDriver is first given what the servos sent during this time before the driver opened the port, in ns. A
+host asks for the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position
+only about every two seconds, so a shorter time might not be enough."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
@@ -38,11 +42,12 @@ _FIRMWARE = b"\x03\x0a"
 _ID_AT, _LOW_AT, _HIGH_AT, _OFFSET_AT, _MODE_AT, _LOCK = 5, 9, 11, 31, 33, 55
 _OFFSET_SIGN = 0x800
 _SENSORS = 56
-"""From this address on, a servo's memory has what it measures."""
+"""The address in a servo's memory where the measured values begin, such as the position."""
 _KNOWN_TO = 65
 """failstop reads a servo's memory only up to this address."""
 _SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
-"""The values to which LeRobot sets every servo, by address. The gains are the arm's."""
+"""The values to which LeRobot sets every servo, by address. The gains (21 to 23) are those that LeRobot uses for the
+arm."""
 _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
 """The addresses of goal position and goal time (42 to 45). A servo in velocity mode ignores both while they are
@@ -61,7 +66,7 @@ class FeetechDriver:
         self._memory = {wheel: _memory(wheel, 0, codec.TURN - 1, 0, mode=1) for wheel in codec.WHEELS}
         self._memory |= {servo: _memory(servo, *told, mode=0) for servo, told in joints.items()}
         self._heard_of: dict[int, set[int]] = {servo: set() for servo in self._memory}
-        """The addresses of each servo that have been read since the driver's conversation began."""
+        """For each servo, the addresses of the measured values that the servo has reported to this object."""
         self._error = dict.fromkeys(self._memory, 0)
         self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
         """The wheels' goal speeds, as the driver wrote them."""
@@ -69,7 +74,7 @@ class FeetechDriver:
         self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its packets."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         rows: list[Row] = []
         for value in chunk:
             if packet := self._byte(value):
@@ -134,7 +139,8 @@ class FeetechDriver:
         return [*rows, DriverAnswer(answers)] if answers else rows
 
     def _knows(self, servo: int, wanted: range) -> bool:
-        """True if the driver can be answered. A value that the servo measures is known only after it has been read."""
+        """True if failstop knows the values at all these addresses of the servo, so it can answer the driver. A value
+        that the servo measures is known only after the servo has reported it."""
         return all(at in self._heard_of[servo] for at in wanted if _SENSORS <= at < _KNOWN_TO)
 
     def _packet_of(self, servo: int, data: bytes) -> bytes:
@@ -156,8 +162,9 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """Handle one packet, which writes bytes to each of these servos. If it changes the speed of a wheel, the rows
-        end with a motion of all wheels, with the speeds that the driver has commanded so far."""
+        """Handle one packet, which writes bytes to each of these servos. If the packet sets the speed of a wheel, the
+        last row is a motion of all wheels. In this motion, the other wheels keep the speeds that the driver has
+        commanded before."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -175,8 +182,8 @@ class FeetechDriver:
         return rows
 
     def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
-        """Handle what a packet writes to a wheel. Returns True if it sets the wheel's speed, then the refusals. If the
-        wheels must stop, a motion is among these rows."""
+        """Handle what a packet writes to a wheel. Returns (moved, rows). `moved` is True if the packet sets the wheel's
+        speed. `rows` has the refusals, and also a motion if the wheels must stop."""
         rows: list[Row] = []
         speed = bytearray()
         for at, value in enumerate(data, address):
@@ -215,7 +222,8 @@ class FeetechDriver:
         return rows
 
     def _setting(self, servo: int, at: int, value: int) -> list[Row]:
-        """Handle one byte of the servo's settings, which the driver can't change."""
+        """Handle one byte that the driver writes to the servo's settings. The driver can't change them, so a new value
+        is refused."""
         if at == _LOCK:
             self._memory[servo][at] = value
             return []
@@ -227,7 +235,8 @@ class FeetechDriver:
     # What the servos report.
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep what the servos measure. Nothing is passed on, because servos only answer."""
+        """Keep what the servos measure. Always returns an empty list, because the servos send only answers, and
+        failstop answers the driver itself."""
         data, at = self._heard + chunk, 0
         while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
             servo, length = data[at + 2 : at + 4]
@@ -246,7 +255,8 @@ class FeetechDriver:
         return []
 
     def _measured(self, servo: int, error: int, data: bytes) -> None:
-        """Keep the values in an answer. Only the answer's length shows which question it belongs to."""
+        """Keep the measured values in an answer. An answer does not name its question, but the answer's length shows
+        which question it was."""
         if servo not in self._memory:
             return
         self._error[servo] = error
@@ -272,7 +282,8 @@ def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytea
 
 
 def language(settings: Mapping[str, float | str]) -> FeetechDriver:
-    """Begin a driver's conversation with the wheels and with the joints of these settings."""
+    """Make a FeetechDriver for a program that has opened the guard port. The wheels and the joints of the settings can
+    then be read by the program."""
     names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
     tables = [f"joints.{name}" for name in names]
     return FeetechDriver(

@@ -1,5 +1,5 @@
-"""What the settings must know about Feetech's servos before a Board is made: LeKiwi's three wheels, and its arm on the
-same bus."""
+"""Facts about Feetech's servos: LeKiwi's three wheels, and its arm on the same bus. failstop needs them to read the
+settings, before it makes a Board."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The wire of the Feetech bus. A stop is repeated within one write, because a servo that is answering hears nothing.
 
 One line carries both directions. A stop that begins during an answer is garbled, and so is the answer. So the burst
-lasts longer than the three answers to a question, and each writer repeats it. Any other frame is written only after the
-line has been silent for the time of three answers, so that it does not collide with one. A servo does not acknowledge a
-sync write. So the questions ask each wheel for the goal speed that it obeys and for its present speed.
+lasts longer than the three answers to a question, and each writer repeats it. All other frames must not collide with an
+answer, so failstop writes them only after the line has been silent for the time of three answers. A servo does not
+acknowledge a sync write. So the questions ask each wheel for the goal speed that it obeys and for its present speed.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 START = 0xABCD
 LIMIT = 1000.0
-"""The board clamps steer and speed to plus or minus this number. In speed mode it means 1000 rpm. By default it means
-the full voltage."""
+"""The board clamps steer and speed to plus or minus this number. The unit depends on the firmware: in speed mode 1000
+means 1000 rpm, and by default it means the full voltage."""
 APART = 1000.0
 """The largest difference between left and right, which is the largest steer. The board clamps steer alone, so with a
 larger difference the robot would drive in another direction than commanded."""
@@ -35,10 +35,12 @@ def seal(steer: int, speed: int) -> bytes:
 
 
 def motion(both: Sequence[float], limit: float) -> bytes:
-    """Return the frame for left and right, each within plus or minus `limit`. Raises FrameError.
+    """Return the frame that sets the speeds of left and right. Raises FrameError if a speed is not within plus or minus
+    `limit`.
 
-    Speeds become whole numbers, truncated towards zero. If their sum is odd, the larger speed is made smaller by one
-    more. Otherwise the board would round half a unit in the mean, and a wheel at rest would creep backward.
+    Speeds become whole numbers, truncated towards zero. If the sum of the two whole numbers is odd, the speed that is
+    further from zero goes one step closer to zero. Otherwise the board would round half a unit in the mean, and a wheel
+    at rest would creep backward.
     """
     left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
@@ -81,8 +83,10 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""How many units slower a frame gets each time it is sent again, in turn. If the middle one of any three frames in a
-row is lost, the echo still shows which of the other two it belongs to."""
+"""While failstop sends the same motion again and again, it makes each frame 0, 1 or 2 units slower than commanded. The
+frames get these numbers in this order, again and again. The numbers 1 and 2 alternate. So if a frame with the number 1
+is lost, the next slower frame has the number 2, and failstop can't take the board's report of that frame for a report
+of the lost frame."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:

@@ -1,12 +1,12 @@
-"""The frames that a driver may write to hoverboard-firmware-hack-FOC, and the feedback that it hears.
+"""The frames that a driver may write to hoverboard-firmware-hack-FOC, and the feedback that the driver gets.
 
 A driver writes frames of eight bytes, ten to a hundred times a second, and expects the board's feedback without asking.
 The board finds a frame by the silence before and after it. A pseudo-terminal keeps no silences, so here a frame is
 found wherever it begins. The wheel speeds are computed as the board mixes them, whatever the driver meant.
 
 A cut frame and the frame after it can pass the check together as one frame, with any speed. For example, the cut frame
-cdab0000 and a stop make full speed backward. No driver writes a word that looks like the start of a frame. So eight
-bytes with another start among them are not taken for a frame.
+cdab0000 and a stop make full speed backward. No driver writes a word that looks like the start of a frame. So if eight
+bytes contain the start of another frame, failstop does not accept them as a frame.
 
 Firmware source: commit a0751d5. Its feedback has 18 bytes. The fork for hoverboard-robotics' ROS driver sends 22
 (24955d6), and a branch that also sends two currents sends 26 (c7152c1). The driver was built for the board that it has,
@@ -27,15 +27,18 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""A driver that has got no feedback for this long considers the board disconnected. The board answers no questions."""
+"""If a driver has got no feedback for this long, in ns, it considers the board disconnected. The driver waits for
+nothing else, because this board has no questions."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
-"""The byte of a frame where its check begins. Only the bytes before it are searched for another start, because the
-check itself may look like one: in any frame of two equal words it does."""
+"""The place in a frame where the check begins. failstop searches a frame for another start, but only the bytes before
+the check, because the check itself may look like a start. For example, it does so whenever the words steer and speed
+are equal."""
 _TOGETHER_NS = 20_000_000
-"""If the rest of a frame comes later than this, it does not belong to the frame. An adapter holds bytes back for 16 ms,
-and the board drops incomplete bytes as soon as the line is idle."""
+"""If a frame is incomplete and nothing more comes for this long, in ns, the frame is dropped. This is longer than 16
+ms, because an adapter may hold bytes back for that long. The board itself drops an incomplete frame as soon as the line
+is idle."""
 _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
@@ -57,7 +60,7 @@ class HoverboardDriver:
         """The length of the board's feedback frames, in bytes. 0 while it is not known."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its frames."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         rows: list[Row] = []
         if not chunk:
             return rows
@@ -83,7 +86,7 @@ class HoverboardDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's feedback in whole frames."""
+        """Return the board's feedback for the driver, in whole frames."""
         data, at = self._heard + chunk, 0
         frames: list[bytes] = []
         while (at := data.find(_HEAD, at)) >= 0:
@@ -100,8 +103,8 @@ class HoverboardDriver:
         return frames
 
     def _whole(self, data: bytes, at: int) -> int:
-        """Return the length of the feedback frame that begins at `at`, or 0 if none does. While the length is not
-        known, a frame counts only if another frame follows it, because parts of two frames can pass the check
+        """Return the length of the feedback frame that begins at `at`, or 0 if no frame begins there. While the length
+        is not known, a frame counts only if another frame follows it, because parts of two frames can pass the check
         together."""
         if self._length and _checked(data[at : at + self._length], self._length):
             return self._length
@@ -112,8 +115,8 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Return the place of the next start. If there is none, return the place of the last byte if it may begin a start,
-    or else the end of the bytes."""
+    """Return the place where the next frame starts, or may start. If only the first byte of a start has come yet, at
+    the end of the data, this is the place of that byte. If no start was found, it is the length of the data."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 
@@ -147,5 +150,5 @@ def _checked(frame: bytes, length: int) -> bool:
 
 
 def language(_settings: Mapping[str, float | str]) -> HoverboardDriver:
-    """Begin a driver's conversation. It needs no settings."""
+    """Make a HoverboardDriver for a program that has opened the guard port. It needs no settings."""
     return HoverboardDriver()

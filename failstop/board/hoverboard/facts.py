@@ -1,4 +1,4 @@
-"""What the settings must know about a hoverboard before a Board is made."""
+"""Facts about a hoverboard. failstop needs them to read the settings, before it makes a Board."""
 
 from __future__ import annotations
 

@@ -34,7 +34,8 @@ def seal(
     *,
     counters: tuple[int, ...] = (),
 ) -> bytes:
-    """Make a feedback frame as the board does, with its LEDs off. `counters` are the fork's, right and left."""
+    """Make a feedback frame as the board does, with its LEDs off. `counters` are the counts of the right and the left
+    wheel, which only the fork sends."""
     words = (START, steer, speed, right_rpm, left_rpm, *counters, centivolts, degrees, 0)
     check = 0
     for word in words:
@@ -48,9 +49,9 @@ class Feedback(Reader):
     def __init__(self) -> None:
         self._kept = b""
         self._forms = (FEEDBACK, WITH_COUNTERS)
-        """The form of the last frame, then the other form. A frame of the other form counts only if another frame
-        follows it. The reason is that a stray start, a frame of nine words and the next start together have a valid xor
-        as eleven words."""
+        """The form of the newest frame, then the other form. A frame of the other form counts only if the start of a
+        next frame follows. Otherwise bytes that only look like a frame of the fork could be accepted. For example, a
+        stray start, a frame of nine words and the start of the next frame make eleven words with a valid xor."""
         self._fork_reported = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -79,10 +80,11 @@ class Feedback(Reader):
 
 
 def _rpm(word: int) -> float:
-    """Return the average speed, in rpm, of all speeds that the firmware sends as this word. The firmware truncates a
-    speed towards zero to sixteenths of an rpm, and rounds those down to whole rpm (BLDC_controller.c, commit a0751d5).
-    Without this correction the right wheel, which is mounted the other way round, would seem 1 rpm faster than the left
-    one when driving straight. Below 5 rpm the firmware sends 0."""
+    """Return the speed in rpm that a word of the feedback stands for. The firmware rounds, so it sends many speeds as
+    the same word, and this is their average. It truncates a speed towards zero to sixteenths of an rpm, and then rounds
+    the result down to whole rpm (BLDC_controller.c, commit a0751d5). Without this correction the right wheel, which is
+    mounted the other way round, would seem 1 rpm faster than the left one when driving straight. Below 5 rpm the
+    firmware sends 0."""
     if not word:
         return 0.0
     return word + (8 / 16 if word > 0 else 7 / 16)

@@ -1,20 +1,22 @@
-"""The wire of a hoverboard. A stop must have silence before and after it, and each writer repeats it at its own times.
+"""The wire of a hoverboard. The line must be silent before and after a stop, and each writer repeats the stop at
+different times.
 
 Whenever the line falls idle, the receiver looks at the bytes that came since it last looked, and accepts exactly eight.
 So two frames without a gap between them are both dropped. The receiver also looks at the end of each of its own
 feedback frames, every 10.1 ms, and drops a frame that is half received then. This loses a single stop in 6.1 % of
 cases.
 
-So each writer repeats its stop, at times of its own. The times are chosen for any two writers, and for any delay
-between their first stops. Apart from the first stops, at most one pair of their early stops touches, and one more stop
-is lost to the feedback. With one or two writers a stop is accepted within 12 ms, with three within 40 ms
-(tests/board/test_stop_of_every_board.py). Mostly the port owner writes alone. If a computer holds back its first stop
-for a few ms, the second one comes so late that the two are not sent together. If a computer is held up again and again,
-repeats reach the board in pairs and are lost. That is why some repeats come as late as 53 to 116 ms.
+So each writer repeats its stop, and each has different times for this. The times are chosen so that any two writers
+disturb each other little, whatever the delay between their first stops. If the first stops touch, at most one pair of
+the early repeats touches as well. The feedback makes the board lose at most one more stop. With one or two writers the
+board accepts a stop within 12 ms, and with three writers within 40 ms (tests/board/test_stop_of_every_board.py). Mostly
+the port owner writes alone. Its second stop comes 5.4 ms after the first one. So if the computer holds the first stop
+back for a few ms, the two are still not sent together. If the computer is held up again and again, repeats reach the
+board in pairs and are lost. That is why some repeats come as late as 53 to 116 ms.
 
 An adapter that stalls sends everything it has kept at once, and the board drops all of it. Every board is tested with
-stalls of up to 0.3 s. So the repeats go on for 100 ms longer than that. At their times no two writers touch, and no two
-repeats of one writer fall on the same place in the feedback.
+stalls of up to 0.3 s. So the repeats go on for about 0.4 s. The late repeats of two writers never touch. No two late
+repeats of one writer come at the same place in a feedback frame.
 """
 
 from __future__ import annotations

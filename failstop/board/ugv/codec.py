@@ -1,10 +1,11 @@
 """The lines of JSON for Waveshare's ugv_base_ros: commands to the board, and reports from it. Firmware source: commit
 c967326.
 
-The stop begins with a line feed, which ends any line that was cut before. A cut line is not JSON, so the board ignores
-it. Every line is a whole object with fields. The board would take `{}`, `null` or the tail of a line for a command that
-stops the wheels and switches an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends T:13
-instead, which does not feed the board's watchdog.
+A line is a JSON object, and its field T says which command or which report it is. The stop begins with a line feed. If
+the line before the stop was cut short, this line feed ends it. A cut line is not JSON, so the board ignores it.
+failstop never writes `{}`, `null` or only the end of a line, because the board would take each of these for the command
+that stops the wheels and switches an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends
+T:13 instead, which does not feed the board's watchdog.
 
 A line has no checksum. So a speed is written so that a byte lost on the cable can't make it larger. For example, 0.171
 m/s is `17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2,
@@ -24,25 +25,26 @@ from failstop.board.wire import Answer, Battery, Imu, Restarted, Sample, Wheels
 
 STOP = b'\n{"T":1,"L":0,"R":0}\n'
 SPEED_RATE = b'{"T":139}\n'
-"""A question that changes nothing. Never ask with T:128, because it overwrites a calibration."""
+"""A question that changes nothing on the board. Never use T:128 as a question, because it overwrites a calibration."""
 ATTITUDE = b'{"T":126}\n'
 LIMIT = 2.0
-"""The highest speed that the board accepts, in m/s. It silently ignores a faster command and keeps the old speed, but
-the command still feeds its watchdog."""
+"""The highest speed that the board accepts, in m/s. The board silently ignores a faster command and keeps its old
+speed, but the command still feeds the board's watchdog."""
 STEP = 0.001
 UNIT = "m/s (on ugv_base_general's Rover and RaspRover a share of the PWM)"
 WATCHDOG_MS = (100, 3000)
-"""The range of times that failstop can set, in ms. A time of 0 would end every motion after 1 ms."""
+"""The shortest and the longest time to which failstop can set the board's watchdog, in ms. A time of 0 would end every
+motion after 1 ms."""
 
 REPORT = 1001
 ANSWERS = (139, 1002)
-"""The T of the answer to each question. A line that has only a T is not an answer, because a device that sends the
-question back would send such a line."""
+"""The T of the board's answer to each question. A line that has a T but no other field does not count as an answer,
+because a device that just sends the question back would send such a line."""
 LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
        134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
        141: "the gimbal (T:141)"}  # fmt: skip
-"""The commands that move no wheel: their T, with a name for people."""
+"""The commands for lights, gimbal and display, which move no wheel. Each has its T and a name for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
 """How the T of each of these commands is written. If `133` were written plainly, a byte lost on the cable could turn it
 into T:13, which drives the wheels."""

@@ -1,4 +1,5 @@
-"""The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and what it hears.
+"""The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and what the driver gets from
+the board.
 
 T:1 sets the speeds of the wheels, and T:13 the speed and turn rate of the base. The values of T:13 may be numbers or
 texts of numbers. T itself may be a text too, because the vendor's ROS 2 node sends it as a text. A line without T
@@ -27,7 +28,8 @@ OPENERS = 2
 """How many programs may have the port open. Of the vendor's two ROS 2 nodes, ugv_driver writes and ugv_bringup
 reads."""
 PATIENCE_NS = 1_000_000_000
-"""How long a driver waits for an answer. After a longer time only its newest question is answered."""
+"""How long a driver waits for an answer, in ns. If its questions are older than this, failstop answers only the newest
+one."""
 _TRACK_M = 0.172
 """The track of the widest base that this firmware knows, in m. The firmware uses the track to turn T:13's turn rate Z
 into wheel speeds. The setting wheels.track_m may make it smaller, but not larger."""
@@ -36,8 +38,8 @@ _LONGEST = 4096
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""A report that comes up to this much too early is still passed on, because the board does not send reports exactly on
-the millisecond."""
+"""At most one report (T:1001) per interval is passed on to the driver. A report may come up to this much before the end
+of the interval, in ns, because the board does not send its reports at exact times."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
@@ -69,7 +71,7 @@ class UgvDriver:
         self._passed_ns = -60_000 * _MS
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its lines."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         *lines, self._line = (self._line + chunk).split(b"\n")
         rows: list[Row] = []
         for line in lines:
@@ -103,8 +105,8 @@ class UgvDriver:
         return self._setting(kind, fields)
 
     def _aux(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
-        """Return what a line for lights, gimbal or display asks for. It is passed on in the spelling that failstop
-        writes."""
+        """Return the rows for a driver's line for lights, gimbal or display. failstop does not pass on the driver's own
+        line, but writes the same command itself."""
         others = {key.decode("latin-1"): value for key, value in fields.items() if key != b"T"}
         texts = {key: value.decode("latin-1") if isinstance(value, bytes) else value for key, value in others.items()}
         line = codec.aux(kind, texts)
@@ -152,7 +154,8 @@ class UgvDriver:
         return [DriverRefusal(f"T:{kind}", why)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's reports, in whole lines. The answers to failstop's own questions are not passed on."""
+        """Return the board's reports for the driver, in whole lines. The answers to failstop's own questions are kept
+        and not returned."""
         *lines, rest = (self._heard + chunk).split(b"\n")
         self._heard = rest[-codec.LONGEST_LINE :]
         return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
@@ -200,5 +203,6 @@ def _whole(value: object) -> int:
 
 
 def language(settings: Mapping[str, float | str]) -> UgvDriver:
-    """Begin a driver's conversation. The setting wheels.track_m says how wide the base is."""
+    """Make a UgvDriver for a program that has opened the guard port. The setting wheels.track_m says how wide the base
+    is."""
     return UgvDriver(float(settings.get("wheels.track_m", _TRACK_M)))

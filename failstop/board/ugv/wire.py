@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 WATCHDOG_NS = 500 * _MS
-"""The time that failstop sets. It is more than twice the time after which a stop is written again, so the watchdog does
-not act on a stopped robot."""
+"""The time to which failstop sets the board's watchdog, in ns. While the robot is stopped, failstop writes the stop
+again more than twice in this time, so the watchdog does not act."""
 
 
 def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:

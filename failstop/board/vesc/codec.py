@@ -1,14 +1,15 @@
 """The packets of the VESC firmware. Source: vedderb/bldc b9d287b.
 
-A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A controller
-on the CAN is reached through the controller at the port: its payload follows FORWARD and its CAN id. The frame for
-several motors has one packet for each, in one write. The motor at the port comes first. If nothing on the CAN takes a
-packet, that packet waits for up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
+A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A packet for
+a controller on the CAN goes to the controller at the port, which passes it on. Its payload then begins with FORWARD and
+the CAN id, and the payload for the controller on the CAN comes after these. The frame for several motors has one packet
+for each, in one write. The motor at the port comes first. If nothing on the CAN takes a packet, that packet waits for
+up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
 
 The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
-after that keeps the phases shorted. The other ways to stop are worse (mcpwm_foc.c, foc_math.c). A current of zero lets
-the motor roll. A speed of zero follows a ramp, by default 25,000 ERPM per second. A brake current would need a number
-that fits the motor.
+after that keeps the phases shorted. Three other commands could stop a motor, but they are worse (mcpwm_foc.c,
+foc_math.c). A current of zero lets the motor roll. A speed of zero follows a ramp, by default 25,000 ERPM per second. A
+brake current would need a number that fits the motor.
 
 If a receiver waits for the rest of a packet and that packet fails, it searches the bytes it has for other packets. So a
 stop among them is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is
@@ -64,13 +65,13 @@ PENDING = MOST_PAYLOAD + 6
 """How many more bytes of a packet a receiver may wait for, at most."""
 BURST = 130
 """How many bytes a burst has. Each writer writes its burst four times, and four bursts are longer than PENDING. Three
-bursts take 34 ms on a serial line. So a motion frame that follows the bursts of three writers has been sent before
-their next repeats."""
+bursts take 34 ms on a serial line. So even after the bursts of three writers, there is time for a motion frame on the
+line before the writers repeat their bursts."""
 LOCAL, BEHIND = 1, 2
 """The ids of the controllers in reports: LOCAL is the one at the port, and BEHIND is the one on its CAN."""
 MISSES = 2
-"""If the second controller leaves this many questions unanswered while the first one answers, it is missing. A question
-does not count if garbled bytes came after it."""
+"""The second controller counts as missing if it leaves this many questions unanswered while the first controller
+answers. A question does not count if garbled bytes came after it, because they may have been the answer."""
 REPORT_EVERY = 20
 """After this many answers the temperatures are reported, which is about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
@@ -86,9 +87,10 @@ _HEAT, _MOTOR_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (
 )
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
 MASKS = (_MASK, _HEAT | _MASK, _MOTOR_HEAT | _MASK, _HEAT | _MOTOR_HEAT | _MASK)
-"""Which values each question asks for. An answer repeats the mask of its question, so the two can be matched. With more
-questions, failstop catches up sooner after answers were lost. No byte of a mask may look like the head of a packet,
-because after a cut question the receiver would wait for such a packet."""
+"""Which values each question asks for. An answer repeats the mask of its question, so the two can be matched. Four
+different questions are better than two, because after answers were lost, failstop finds out sooner which question an
+answer belongs to. No byte of a mask may look like the head of a packet. If a question was cut short, the receiver could
+otherwise take this byte for a head, and wait for the rest of a packet that never comes."""
 _VALUES = {mask: Struct(f">BI{'h' * (mask & (_HEAT | _MOTOR_HEAT)).bit_count()}ihiBB") for mask in MASKS}
 """The forms of the answers. They leave out the status at the end, because older firmware does not send it."""
 _LONGEST = 128
@@ -139,7 +141,8 @@ def check_aux(frame: bytes) -> str:
 
 
 class Steering(ServoSteering):
-    """The steering servo at a controller. The settings give its pulses in us, and 1000 to 2000 is its whole range."""
+    """The frames for the steering servo at a controller. The settings give the servo's pulses in us, and its whole
+    range is 1000 to 2000 us."""
 
     __slots__ = ()
 
@@ -159,8 +162,8 @@ class Steering(ServoSteering):
 
 
 class Motors:
-    """The frames for one motor or for two. A single motor is at the port. Of two, the left one is at the port, and the
-    right one is on its CAN."""
+    """The frames for one motor or for two. A single motor belongs to the controller at the port. If there are two
+    motors, the left motor belongs to the controller at the port, and the right motor to the controller on the CAN."""
 
     def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
         """`can_ids` are the CAN ids of the controllers that are not at the port."""
@@ -180,13 +183,14 @@ class Motors:
         return self._packets([_SPEED.pack(RPM if speed else DUTY, speed) for speed in whole])
 
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
-        """Return the frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        """Return the frame that sets the speeds of all motors. Raises FrameError if a speed is not within plus or minus
+        `limit`."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, "ERPM")
         return self._written([number("speed of a motor", speed, -limit, limit, "ERPM") for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """Return the speeds in a frame for all motors, or None for other bytes."""
+        """Return the speeds of all motors, as a motion frame sets them. Returns None for other bytes."""
         if len(frame) != len(self.rest):
             return None
         found: list[float] = []
@@ -226,24 +230,25 @@ class Values(Data):
 
 class Replies(Reader):
     """Decodes the controllers' answers. A question counts as answered when all controllers have answered it. The
-    controller at the port answers first, and the second one's answer must belong to the same question."""
+    controller at the port answers first. An answer of the second controller counts only if it belongs to the same
+    question."""
 
     def __init__(self, other: bytes) -> None:
         """`other` is the CAN id of the second controller, as one byte. Empty if there is no second controller."""
         self._kept = b""
         self._other = other
         self._first: tuple[int, Values] | None = None
-        """The newest answer of the controller at the port (its mask and its values), until the second controller
-        answers too. Else None."""
+        """The newest answer of the controller at the port, as (mask, values), while the second controller has not
+        answered yet. Otherwise None."""
         self._misses = 0
         self._garbled = False
         """True if bytes that belong to no packet came since the last answer of the controller at the port. They may
         have been the second controller's answer."""
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
-        """What is wrong with each controller that has answered, as bits. `_heat` has the temperature of each."""
+        """What is wrong with each controller, as a sum of SERVO_ bits (wire.py), by the controller's id in reports."""
         self._last_report: dict[int, int] = {}
-        """What was wrong with each controller when this was last reported."""
+        """What is wrong with each controller, as it was reported the last time (see _wrong)."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:

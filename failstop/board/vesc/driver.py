@@ -1,10 +1,10 @@
-"""The packets that a driver may write to a VESC, and what it hears.
+"""The packets that a driver may write to a VESC, and the answers that the driver gets.
 
 A driver sets speeds in ERPM and the position of the servo, and asks for the firmware's version and for values
-(RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). The two questions are passed on, and so are their
-answers. If a driver sets only a speed, the servo stays where the driver sent it before. A duty cycle or a current is
-refused unless it is zero, because failstop can't limit the speed that results from it. Bytes that are not a packet are
-skipped as the firmware skips them.
+(RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
+port, and the answers are passed back to the driver. If a driver sets only a speed, the servo stays where the driver
+sent it before. A duty cycle or a current is refused unless it is zero, because failstop can't limit the speed that
+results from it. Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class VescDriver:
     """One driver's packets, and the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
-        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is the servo's
-        pulse for straight ahead in us, and how much is added for one radian to the left. It is None if the base is not
-        steered."""
+        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is (the servo's
+        pulse for straight ahead, the change of the pulse for one radian to the left), both in us, or None if the base
+        is not steered."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]
@@ -50,7 +50,7 @@ class VescDriver:
         self._wrote = self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its packets."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         data = self._wrote + chunk
         found, self._wrote = codec.payloads(data)
         rows = [row for payload in found for row in self._asked(payload, 0)]
@@ -59,7 +59,8 @@ class VescDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the answers to the driver's questions. The answers to failstop's own questions are not passed on."""
+        """Return the answers to the driver's questions, in whole packets. The answers to failstop's own questions are
+        not returned."""
         found, self._heard = codec.payloads(self._heard + chunk)
         return [codec.packet(payload) for payload in found if payload[0] in _PASSED_ON]
 
@@ -114,7 +115,7 @@ class VescDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:
-    """Begin a driver's conversation, with the wheels and the servo of the settings."""
+    """Make a VescDriver for a program that has opened the guard port, with the wheels and the servo of the settings."""
     if settings.get("wheels.layout") != "ackermann":
         return VescDriver(int(settings.get("board.can_id", USUAL_CAN_ID)), None)
     per_rad = float(settings["steering.sign"]) * float(settings["steering.per_rad"])

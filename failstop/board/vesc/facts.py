@@ -1,4 +1,4 @@
-"""What the settings must know about VESCs before a Board is made."""
+"""Facts about VESCs. failstop needs them to read the settings, before it makes a Board."""
 
 from __future__ import annotations
 

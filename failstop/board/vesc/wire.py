@@ -54,8 +54,8 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, can_id: int) -> Wire:
-    """Make the description of a controller at the port. Unless `speeds` is 1, there is a second controller on its CAN,
-    with this CAN id."""
+    """Make the description of one VESC if `speeds` is 1, and of two VESCs otherwise. `can_id` is the CAN id of the
+    second VESC."""
     can_ids = () if speeds == 1 else (can_id,)
     motors = codec.Motors(can_ids)
     return Wire(
@@ -132,5 +132,5 @@ def wire(speeds: int, can_id: int) -> Wire:
 
 
 WIRE = wire(2, USUAL_CAN_ID)
-"""The description for two motors, with the usual CAN id. The service makes another one with the CAN id of the
-settings."""
+"""The description for two motors, with the usual CAN id. The service does not use it, but makes a description with the
+CAN id of the settings."""
