@@ -1,4 +1,4 @@
-"""The arm on the RRC: bus servos, to which the firmware writes one frame after another."""
+"""The arm on the RRC: bus servos. The firmware writes to them one after another."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ class RrcArm(ServoBus):
     beside_wheels = holds_by_goal = False
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Return the frames that stop these servos. Never write them alone. Otherwise the kernel might take only a part
-        of the burst before them, and the board would read them as the rest of a motor frame, with a wheel's id and
-        speed. At the end of the burst's own write they follow a whole burst, or are not written at all. If they are cut
-        themselves, the next burst heals the cut, as in any frame."""
+        """Return the frames that stop these servos. Always append them to the stop burst, and write both in one write.
+        Then the kernel takes the servos' frames only after it has taken the whole burst. In a write of their own, they
+        could follow a burst that was cut short. The board could then read them as the rest of a motor frame, with a
+        wheel's id and speed. If a servo's frame is itself cut short, the next burst makes the cut harmless, as for any
+        other frame."""
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
@@ -36,7 +37,8 @@ class RrcArm(ServoBus):
         return bus.bus_servo_read(servo, what)
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Empty, because the board can only ask one servo after another, and only while none moves."""
+        """Always returns no bytes, because this board can only ask one servo after another, and only while no servo
+        moves."""
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
@@ -53,7 +55,8 @@ class RrcArm(ServoBus):
         return bus.check_bus(frame, servos, longest_ms)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Return the servos that a frame moves. All of them take the time in the frame."""
+        """Return (id, position, duration in ns) for each servo that a frame moves. All servos in a frame have the same
+        duration."""
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:

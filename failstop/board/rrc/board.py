@@ -74,12 +74,14 @@ _SAID: dict[int, Callable[[bytes], list[Said]]] = {
     framing.BUS_SERVO: _servo,
     framing.PWM_SERVO: _pong,
 }
-"""For each kind of frame, the function that makes its reports. It returns no reports if the frame makes no sense.
+"""For each kind of frame, the function that makes its reports. The function returns no reports if the frame makes no
+sense.
 
-The answer to a ping names the servo, and so shows which ping it belongs to. If a client reads the position of the same
-servo, it gets the same answer. That answer counts for the ping too, because it also proves that the board hears. There
-are two small errors. Such an answer may belong to a question that was asked up to 0.1 ms before the ping, which is the
-time of a question on the wire. And it replaces the answer before it, if the supervisor has not seen that one yet.
+A ping asks for the position of a PWM servo, and the answer names the servo, so it shows which ping it belongs to. If a
+client of failstop asks for the position of the same servo, the board gives the client's question the same answer.
+failstop counts the client's answer as an answer to the ping too, because it also proves that the board hears. This has
+two small errors. First, the client may have asked up to 0.1 ms before the ping, which is the time of a question on the
+wire. Second, the client's answer replaces an earlier answer if the supervisor has not read the earlier answer yet.
 """
 
 
@@ -113,8 +115,9 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """The repeats of each writer. The rows may have the same times, because the receiver accepts stops without a gap.
-    The supervisor repeats no stop, because the stopper does."""
+    """When each writer repeats its stop, in ns after its first stop. The writers may have the same times, because this
+    board accepts stops that follow each other without a gap. The supervisor repeats no stop, because the stopper
+    does."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]
@@ -123,8 +126,8 @@ class Rrc(Board):
     ping_ns = 0
     echo_ns = fades_ns = 0
     silent_ns = 600_000_000
-    """The IMU never pauses for this long unless the board restarts. A busy computer or adapter may cause a shorter
-    pause."""
+    """If the IMU's reports pause for this long, in ns, the board has restarted. A busy computer or adapter causes only
+    shorter pauses."""
     arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU

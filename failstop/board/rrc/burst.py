@@ -2,8 +2,8 @@
 
     32 x 00, STOP, 257 x 00, STOP, STOP, STOP            (397 bytes, 4.0 ms at 1 Mbaud)
 
-A stop frame alone can get lost. The receiver may be waiting for the rest of a frame that was cut short. It then takes
-up to 256 of the following bytes for that rest (firmware source). So the burst has these parts:
+A stop frame alone can get lost. The receiver may be waiting for the rest of a frame that was cut short. It then reads
+up to 256 of the following bytes as this rest (firmware source). So the burst has these parts:
 
 - Zeros are a safe filler. Between frames the receiver ignores zeros. If it waits for a function, they make an empty SYS
   frame, which does nothing. If it waits for a length, they make the length 0. Stop frames would not be a safe filler,

@@ -1,5 +1,5 @@
-"""The frames for the wheels, the ping and the buzzer, and their checks before they are written. The frames for an arm
-are in servos.py.
+"""The frames for the wheels, the ping and the buzzer, and functions that check these frames before they are written.
+The frames for an arm are in servos.py.
 
 The board answers no motor frame, and its motor handler checks nothing (firmware source). Ids out of range make it write
 out of bounds, it does not compare the count with the length, and it accepts NaN as a speed. So every value is checked
@@ -72,12 +72,13 @@ _FLOATS = (5, 10, 15, 20)
 
 
 def _complete_free(body: bytes) -> bytes:
-    """Put head and CRC around func, len and data of a four-wheel frame, so that no cut of it moves a wheel.
+    """Put head and CRC around func, len and data of a four-wheel frame. Wherever the frame is then cut short, the part
+    before the cut can't move a wheel.
 
-    Zeros leave a CRC of zero unchanged. So if a frame is cut where its CRC so far is zero (once in 256 cuts), the zeros
-    of the burst complete it, and the board executes it with the speeds sent so far. To prevent that, the last speed
-    before such a place is made smaller by one unit in its last place. This changes the CRC, so the frame is then
-    checked again.
+    Zeros leave a CRC of zero unchanged. So if a frame is cut where the CRC of its bytes so far is zero (once in 256
+    cuts), the zeros of the burst complete the frame, and the board executes it with the speeds sent so far. To prevent
+    that, this function searches the frame for a place with a CRC of zero. It makes the last speed before this place
+    smaller by one unit in the speed's last place. This changes the CRC, so the function then searches the frame again.
     """
     crc = 0
     for at, byte in enumerate(body):
@@ -129,14 +130,14 @@ STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
 
 
 def pwm_servo_read(servo: int) -> bytes:
-    """Return the ping: a question for a PWM servo's pulse (id 1 to 4). The board answers it from its memory, even if no
-    servo is connected."""
+    """Return the ping, which asks for the pulse of a PWM servo (id 1 to 4). The board answers it from its memory, even
+    if no servo is connected."""
     return frame(PWM_SERVO, bytes((0x05, checks.integer("servo id", servo, 1, PWM_SERVOS))))
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-    """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because it
-    once left a buzzer sounding forever.
+    """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because a
+    buzzer with an off_ms of 0 once never stopped.
 
     If the frame were cut short, the zeros of the stop burst might complete it with an off time of 0. To prevent this,
     the tone may be a few hertz lower, or a few hertz higher at the low end.
@@ -156,10 +157,10 @@ def check_aux(frame: bytes) -> str:
     """Say in a few words why these bytes must not be written as a frame that is not motion. Returns "" if they may be
     written.
 
-    It accepts only a buzzer frame that has the right length and CRC, and that contains no start of a motor frame. If
-    the frame were cut anywhere, the zeros of the stop burst must not complete it. So it moves nothing, whole or cut. No
-    other function is accepted, because the firmware's handlers of other functions read lists past their end, and could
-    change a wheel's set point. Never raises on bytes.
+    It accepts only a buzzer frame that has the right length and CRC, and that contains no start of a motor frame. It
+    also refuses a frame that the zeros of the stop burst would complete if the frame were cut short. So an accepted
+    frame moves nothing, even if it is cut short. All other functions of the board are refused, because the firmware's
+    handlers of other functions read lists past their end, and could change a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"

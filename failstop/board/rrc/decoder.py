@@ -1,7 +1,7 @@
-"""Frames from the RRC: the decoder, and a parser for each kind of frame (vendor protocol description).
+"""Frames from the RRC: the decoder, and a parser for the data of each kind of frame (vendor protocol description).
 
-A parser takes the data of one frame. It returns None if the data has the wrong length or content, so that nonsense is
-not passed on and telemetry goes on.
+A parser takes the data of one frame. It returns None if the data has the wrong length or content. So a wrong frame is
+ignored, and telemetry goes on with the next frame.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ _VALUES = {
 class Decoder:
     """Turns bytes, in pieces of any size, into frames. Between calls it keeps at most the bytes of one frame.
 
-    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes. So garbage does not
-    also destroy the frame after it. The board's own receiver does not do that.
+    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes. So if garbage comes
+    before a good frame, the good frame is still found. The board's own receiver would lose it, because it never
+    searches rejected bytes.
     """
 
     __slots__ = ("_pending",)
@@ -133,8 +134,8 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
     """Return (servo id, sub-command, value) from the data of a PWM SERVO or BUS SERVO frame. The value is None if a bus
     servo did not answer. The result is None if the data has another form.
 
-    The sub-command is the one of the question. For a PWM servo, 05 is the pulse in us, and 09 the deviation in us. For
-    a bus servo, 05 is the position, 07 the supply in mV, 09 the temperature in degrees Celsius, and 0D is 1 if the
+    The sub-command is the same as in the question. For a PWM servo, 05 is the pulse in us, and 09 the deviation in us.
+    For a bus servo, 05 is the position, 07 the supply in mV, 09 the temperature in degrees Celsius, and 0D is 1 if the
     torque is on.
     """
     form = _VALUES.get((func, data[1])) if len(data) > 2 else None

@@ -1,15 +1,15 @@
-"""The frames that a driver may write to Hiwonder's RRC, and what it hears. The driver is the vendor's Python SDK or its
-ROS node.
+"""The frames that a driver may write to Hiwonder's RRC, and what the driver gets from the board. The driver is the
+vendor's Python SDK or the vendor's ROS node.
 
-Frames are read byte by byte as the board's receiver reads them: it looks at no byte twice and waits for the rest of a
-frame forever. A motor frame that names some motors leaves the others at their speed. The board's motor handler checks
-nothing. So a motor frame is refused whole, and the wheels stop, if its count does not fit its length, if it names a
-motor that does not exist, or if a speed is not a finite number.
+Frames are read byte by byte, as the board's receiver reads them. The receiver waits forever for the rest of a frame,
+and never goes back to a byte that it has already read. If a motor frame names only some motors, all other motors keep
+their speeds. The board's motor handler checks nothing. So a motor frame is refused whole, and the wheels stop, if its
+count does not fit its length, if it names a motor that does not exist, or if a speed is not a finite number.
 
-A question without an answer would block the SDK forever. So every question is answered. If failstop has read the same
-value of the servo from the board, the answer is the last one from the board. Otherwise the answer reports a failure, in
-its full length, or 0 for a PWM servo, whose answer has no room for a failure. Reports that come unasked are passed on
-whole.
+A question without an answer would block the SDK forever. So every question for a servo is answered. If failstop itself
+has asked the board the same question about the same servo, the driver gets the board's newest answer. Otherwise the
+answer for a bus servo reports a failure, and the answer for a PWM servo reports 0, because it has no room for a
+failure. Both have their full length. Reports that the board sends unasked are passed on in whole frames.
 
 Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
 """
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
-"""How long a driver waits for an answer. The SDK waits forever, so this is long enough that no answer is dropped."""
+"""How long a driver waits for an answer, in ns. The SDK waits forever, so this time is so long that failstop never
+drops an answer."""
 _PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
@@ -59,7 +60,8 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """True if bytes that begin no frame were already reported."""
+        """True if the driver has written bytes that begin no frame, and these were already refused. It becomes False
+        after the next whole frame."""
         self._speeds = [0.0] * WHEELS
         """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()
@@ -67,7 +69,7 @@ class RrcDriver:
         """The board's newest answer about a servo, by function, servo and question."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """Return what the driver asks for with its frames."""
+        """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         rows: list[Row] = []
         for value in chunk:
             rows += self._byte(value)
@@ -176,7 +178,8 @@ class RrcDriver:
         ]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Pass on the board's reports, in whole frames. The answers to failstop's own questions are not passed on."""
+        """Return the board's reports for the driver, in whole frames. The answers to failstop's own questions are kept
+        and not returned."""
         found: list[bytes] = []
         for func, data in self._decoder.feed(chunk):
             if func in _PASSED:
@@ -187,5 +190,5 @@ class RrcDriver:
 
 
 def language(_settings: Mapping[str, float | str]) -> RrcDriver:
-    """Begin a driver's conversation. It needs no settings."""
+    """Make an RrcDriver for a program that has opened the guard port. It needs no settings."""
     return RrcDriver()

@@ -1,5 +1,5 @@
-"""What the settings must know about the RRC before a Board is made. It has four motors and an IMU, and its bus servos
-turn 240 degrees in 1000 pulses."""
+"""Facts about the RRC: it has four motors and an IMU, and its bus servos turn 240 degrees in 1000 pulses. failstop
+needs these facts to read the settings, before it makes a Board."""
 
 from __future__ import annotations
 

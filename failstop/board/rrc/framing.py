@@ -55,9 +55,10 @@ def seal(func: int, data: bytes) -> bytes:
 
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
-    """Find out where this frame could be cut off so that zeros after the cut complete it. Zeros do that if the CRC up
-    to the cut is zero: more zeros leave it zero, and the last zero passes as the CRC. Returns after how many bytes of
-    data the first such cut is, not counting cuts before `least` (1 or more). Returns 0 if there is none."""
+    """Find the first place where this frame must not be cut off, because zeros after the cut would complete it. Zeros
+    complete a frame if the CRC up to the cut is zero. More zeros leave the CRC zero, and the last zero passes as the
+    CRC. Returns how many bytes of data come before this place. Places with fewer than `least` bytes (1 or more) don't
+    count. Returns 0 if no cut is dangerous."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

@@ -1,14 +1,14 @@
-"""Frames to the bus servos of an arm, and their check before they are written.
+"""Frames to the bus servos of an arm, and a function that checks these frames before they are written.
 
 The firmware handles a servo's frame inside its receive task. So every later frame, even a stop, waits until the servos'
 own bus (115200 baud) has taken the servo's frame. That is why no frame may hold up the receiver for longer than
-HELD_NS. Only questions may, because nobody asks them while a wheel may turn.
+HELD_NS. Only questions may hold it up longer, because failstop asks the servos nothing while a wheel may turn.
 
 A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
 and a long way is a stream of short moves.
 
-Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). They have no encoder, and are
-refused.
+Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). failstop has no function that
+makes these commands, and check_bus() refuses them.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
 EVERY_SERVO = 254
-"""The address of all servos at once. Test it on a stand before you use it on a robot."""
+"""The address of all servos at once. Test a command to this address on a stand before you use it on a robot."""
 HIGHEST_POSITION = 1000
 PULSES_PER_RAD = 1500 / tau
 """How many pulses make a radian. A pulse is 0.24 degrees."""
 STOP_NS = 521_000
-"""How long a stop takes on the servos' bus, in ns. It has six bytes."""
+"""How long the stop of one servo takes on the servos' bus, in ns. It is a packet of six bytes."""
 TORQUE_NS = 610_000
-"""How long a torque command takes on the servos' bus, in ns. It has seven bytes."""
+"""How long a torque command takes on the servos' bus, in ns. It is a packet of seven bytes."""
 MOST_STOPS = HELD_NS // STOP_NS
 
 _U16 = Struct("<H")
@@ -94,8 +94,9 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
     """Return the frame that stops up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are. Their torque
     stays on.
 
-    If the frame is cut short, zeros may complete it, because a stop has no value that could be varied to prevent this.
-    The completed frame stops fewer of these servos, and a servo 0.
+    If the frame is cut short, the zeros of the stop burst may complete it. The completed frame then stops only some of
+    these servos, and also a servo with the id 0. This can't be prevented, because a stop has no value that could be
+    varied.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
@@ -117,8 +118,8 @@ def bus_servo_read(servo: int, what: int) -> bytes:
 
 
 def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Return the frame that switches a bus servo's torque. Sub-command 0C is on and 0B is off. The vendor's SDK has
-    them the wrong way round."""
+    """Return the frame that switches a bus servo's torque on (sub-command 0C) or off (sub-command 0B). The vendor's SDK
+    mixes up these two sub-commands."""
     if not isinstance(on, bool):
         raise FrameError(f"on is {on!r}, must be True or False")
     return frame(BUS_SERVO, bytes((TORQUE_ON if on else TORQUE_OFF, _id(servo))))
@@ -128,7 +129,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
     """Say in a few words why these bytes must not be written as a frame for these bus servos. Returns "" if they may be
     written.
 
-    Only frames that the encoders above make pass. Never raises on bytes.
+    It accepts only frames that the functions of this module make. Never raises on bytes.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD or frame[2] != BUS_SERVO:
@@ -186,8 +187,8 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Return why a cut of this move is dangerous: zeros would complete it to another move, which moves a servo to
-    another position, or moves a servo 0. Returns "" if no cut is dangerous. A move that is cut off before its first
-    servo moves none."""
+    """Say where this move must not be cut short. If it were cut there, zeros would complete it to a wrong move: a servo
+    would go to a wrong position, or a servo with the id 0 would move. Returns "" if no cut is dangerous. A cut before
+    the first servo is never dangerous, because the completed frame then moves no servo."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

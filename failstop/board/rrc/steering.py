@@ -1,8 +1,9 @@
-"""Steering: the frame that turns the servo of a steered base, and its check before it is written.
+"""Steering: the frame that turns the servo of a steered base, and a function that checks the frame before it is
+written.
 
 Steering counts as motion, so this frame is part of the same write as the motor frame before it, and the two are
-accepted or refused together. A stop has no such frame, and leaves the steered wheels at their angle. The frame for a
-bus servo holds up the board's receiver for MOVE_NS, so a stop right after it comes that much later.
+accepted or refused together. A stop has no steering frame, so it leaves the steered wheels at their angle. The frame
+for a bus servo holds up the board's receiver for MOVE_NS, so a stop right after it comes that much later.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ if TYPE_CHECKING:
 
 PWM, BUS = "pwm", "bus"
 STEER = 3
-"""The sub-command for one PWM servo. The sub-command for several is not used, because the firmware takes their pulse
-for the time (firmware source)."""
+"""The sub-command that moves one PWM servo. failstop does not use the sub-command that moves several PWM servos,
+because the firmware mistakes its pulse for its duration (firmware source)."""
 TAKES_MS = 20
-"""How long the servo may take for a move, in ms. It is the time until the next frame."""
+"""How long the servo may take for a move, in ms. This is also the time until the next steering frame."""
 LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
