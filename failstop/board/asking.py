@@ -1,10 +1,12 @@
-"""Asking: finds out which board is on an open port, by questions that move no wheel.
+"""Asking: finds out which board is on an open port. It asks questions that move no wheel.
 
-A board is recognised by its answer to one of its questions. A board that has no questions is recognised by its reports.
-Before each question failstop writes the stop of the same board, because a stop ends any frame that was cut. No board
-that failstop knows takes the stop or the question of another board for motion, at any baud rate
-(tests/board/test_asking.py). Nobody can promise this for an unknown device. So if your own board may be on the port,
-failstop writes nothing for the other boards and only listens.
+Each kind of board has its own questions and its own stop. failstop tries one kind after another, until a question is
+answered. A kind of board that can't be asked is recognised by its reports. Before each question, failstop writes the
+stop of the kind that it asks for, because a stop ends any frame that was cut short. Every board that failstop describes
+ignores the stops and the questions of all other kinds, or at least never moves because of them, at any baud rate
+(tests/board/test_asking.py). But failstop can't promise this for a board that you have described yourself. So if
+board.kind names your own board, failstop writes only your board's stop and questions, and just listens for the kinds
+that it describes itself.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 ANSWER_S = 0.25
-"""How long to wait for an answer or a report, in s. This is longer than any of these boards takes to answer, and longer
-than the time between two of its reports."""
+"""How long to wait for an answer or a report, in s. Every board that failstop describes answers sooner than this, and
+reports more often than this."""
 QUESTIONS = 2
-"""How often each board is asked. A single question may be lost on the line."""
+"""How many times each kind of board is asked, because a single question may be lost on the line."""
 MORE_QUESTIONS = 2
-"""How often a board is asked again if bytes come that answer nothing. Such bytes may come from one part of the board,
-while another part does not answer."""
+"""How many more times a board is asked if it sends bytes, but none of them is an answer. For example, one of two motors
+may answer while the other one is silent."""
 
 WIRES = "check the board's power, its cable (TX and RX must cross), device.path, and the baud rate of its firmware"
 """What people should check if no bytes come from the board."""
@@ -46,14 +48,15 @@ ADAPTERS = {
     "1a86:55d4": "CH9102",
     "1a86:7523": "CH340",
 }
-"""Chips between USB and a serial line, by vendor:product. Many kinds of devices have them, so they do not say which
-board it is."""
+"""Chips between USB and a serial line, by vendor:product. Many kinds of devices have such a chip, so the chip does not
+show which board is behind it."""
 DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
-"""The kernel's module for chips whose names begin like this. All other chips use cdc_acm."""
+"""The kernel module for each chip, by the beginning of the chip's name in ADAPTERS. All other chips use cdc_acm."""
 
 
 class Unknown(Board):
-    """A board whose folder this user can't use. Nothing is known about such a board, and nothing is written to it."""
+    """Your own board, if the user who runs this program can't use the board's folder. Nothing is known about the board
+    then, and nothing is written to it."""
 
     __slots__ = ("why",)
 
@@ -71,31 +74,31 @@ class Unknown(Board):
 
 
 class Heard(Data):
-    """The result of asking the device at a port the questions of one kind of board."""
+    """The result of looking for one kind of board on a port."""
 
     kind: str
     known: bool
-    """True if the device at the port is a board of this kind."""
+    """True if the device on the port is a board of this kind."""
     answered_ms: float | None
     reports: frozenset[int]
-    """The kinds of its reports, as the HEARD_ numbers of interface.py."""
+    """The kinds of reports that came from the device, as the HEARD_ numbers of interface.py."""
     size: int
-    """How many bytes were received, of any kind."""
+    """How many bytes came from the device, even if they make no sense."""
     after_ns: int
-    """How long after the opening of the port the board was asked, in ns."""
+    """The time between the opening of the port and the first question, in ns."""
     firmware: str = ""
-    """The name of its firmware, if that is not the usual firmware."""
+    """The name of the board's firmware, if the board reports that it is not the usual one."""
     other_baud: int = 0
-    """The baud rate at which it was asked, if that is not the rate in the settings. Else 0."""
+    """The baud rate that was used for the questions, if it is not the rate in the settings. Else 0."""
     missing: tuple[int, ...] = ()
     """The servos that do not answer, although other servos of the same board do."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Yield the order in which to ask the boards: (how long after the opening of the port in ns, kind) for each
-    attempt. The board that the user wants comes first. Boards without questions come next, because for them failstop
-    only listens. Set `resets` if opening the port may have reset the board. Then each board that is deaf after a reset
-    gets a second, later attempt."""
+    """Yield the attempts to find the board, in order. Each attempt is (time, kind): the kind of board to ask, and when
+    to ask, in ns after the port was opened. The first of `boards`, which the user wants, comes first. Boards without
+    questions come next, because for them failstop only listens. Set `resets` if opening the port may have reset the
+    board. Then each board that is deaf after a reset gets a second, later attempt."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -105,10 +108,11 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask the device at the port the questions of one board after another, until it is recognised. The last result in
-    the list is then the board that was found. The caller must already have written the stop of the first board. If no
-    board is found, ask again at the other baud rates that a board may have. With `strangers`, nothing is written for
-    any board except the first. Raises OSError if the device is gone."""
+    """Try one kind of board after another, until one of them is found on the port. Returns the result of each attempt,
+    so a board that was found is the last in the list. The caller must already have written the stop of the first board.
+    If no board is found at the usual baud rates, the other baud rates of each board are tried too. Set `strangers` if
+    the first board must be the only one to which bytes are written. failstop then just listens for all others. Raises
+    OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.
@@ -132,12 +136,12 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice, and some more times if bytes come that answer nothing. Returns after how many ms it answered,
-    or None. With `stop`, the board's stop is written before the first question too. Raises OSError if the device is
-    gone.
+    """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns after how
+    many ms the board answered, or None. Raises OSError if the device is gone.
 
-    Before each further question the stop is always written. If the receiver has taken bytes for another board for the
-    beginning of a packet, the stop's bytes complete that packet."""
+    The board's stop is written before each question except the first, and with `stop` before the first one too. The
+    board may have received bytes that were meant for another kind of board, and may have read them as the beginning of
+    a packet. The bytes of the stop then complete that packet."""
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):
@@ -157,9 +161,9 @@ def heard_ms(tap: Tap, board: Board) -> float | None:
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """Return the result of looking for a board of this kind: (found, text, remedy). `found` is True if the board is on
-    the port, and False if it is not. It is None for a board that can't be asked. The text says the same in words, and
-    the remedy says what to do."""
+    """Return (found, text, remedy), which says whether a board of this kind is on the port. `found` is True if it is,
+    and False if it is not. `found` is None if a board of this kind can't be asked. `text` is the result in words for
+    people, and `remedy` says what to do."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

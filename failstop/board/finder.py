@@ -1,7 +1,7 @@
-"""Finder: after the port was lost, finds out which of the serial ports is the board.
+"""Finder: finds the board's serial port again after the board was unplugged or reset.
 
-The path in the settings is not enough. If a hub resets, another device of the same type may get the board's number or
-its link. So the board is recognised by what its USB device reports and, if that is not enough, by the socket where it
+The path in the settings is not enough. If a USB hub resets, the board's path may then lead to another device of the
+same type. So the board is recognised by what its USB device reports and, if that is not enough, by the socket where it
 is plugged in. CHOICES has the rules.
 
 If a process keeps a tty open over an unplug, the number of the tty stays in use, so the board comes back with another
@@ -40,8 +40,8 @@ class Device:
         """The device's serial number. It is empty for many adapters, which have none. Some makers give all their
         devices the same number."""
         self.part = part
-        """If the device has several ports, which of them this is: the USB interface, and the number of the port in
-        it."""
+        """The USB interface, and the number of the port in this interface. Together they distinguish this port from
+        other ports of the same device."""
         self.place = place
         """The socket where the device is plugged in: the bus, and the number of the port on each hub, for example
         1-1.2."""
@@ -67,8 +67,9 @@ class Device:
 
 
 def identity(device: str, like: Device | None = None) -> Device | None:
-    """Return the USB device above a tty's `device` link in sysfs. None if there is no USB device, as for a pty or a
-    serial pin. None also if its vendor or product differs from that of `like`."""
+    """Return the USB device to which a tty belongs. `device` is the tty's `device` link in sysfs. Returns None if the
+    tty belongs to no USB device, for example a pty or a serial pin. With `like`, also returns None if the USB device
+    has another vendor or product than `like`."""
     folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
         if vendor := _line(f"{folder}/idVendor"):
@@ -84,7 +85,7 @@ def identity(device: str, like: Device | None = None) -> Device | None:
 
 
 def of_number(number: int, sysfs: str = "/sys") -> Device | None:
-    """Return the USB device that has this character device number. None if there is none."""
+    """Return the USB device that has this character device number. None if no USB device has it."""
     return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
 
 
@@ -101,8 +102,8 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
     """Return (others, ambiguous). `others` are the other serial ports with the same vendor and product, by path.
-    `ambiguous` is True if one of them can't be told from `own`, because both have the same serial number or both have
-    none."""
+    `ambiguous` is True if failstop can't distinguish one of these ports from `own`, because both have the same serial
+    number, or because both have no serial number."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -158,14 +159,15 @@ CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
     (Search.without_serial, False),  # no serial numbers: one like it, in another socket
     (Search.in_its_stead, False),  # a spare: one of the same kind at the path, in the socket where the board was
 )
-"""The rules for which device is the board. The first row that finds any device decides. If it finds several, nobody can
-say which of them is the board, so none is chosen. A device that is not certain is believed once it answers as the board
-does."""
+"""The rules for which device is the board. The first row that finds any device decides. If it finds several devices,
+nobody can say which of them is the board, so none is chosen. The second value of the row says whether a device that the
+row finds is certainly the board. If this is not certain, failstop accepts the device as the board only after it has
+answered as the board does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
-    """Return (device, certain) by the rules of CHOICES. `device` is the one that is the board, or None. `certain` is
-    True if this is certain. Pure."""
+    """Return (device, certain) by the rules of CHOICES. `device` is the device that is most likely the board, or None.
+    `certain` is True if the device is certainly the board. Pure."""
     for choice, sure in CHOICES:
         if found := choice(search):
             return (found[0], sure) if len(found) == 1 else (None, False)
@@ -206,7 +208,8 @@ class Finder:
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember which other devices are present together with the board. After a loss, these can't be the board."""
+        """Remember which other devices are present together with the board. If the board is later lost, failstop does
+        not take one of these devices for the board."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 

@@ -2,11 +2,13 @@
 
 An answer does not say which question it belongs to. An echo, which is the board's report of its present command, does
 not say which frame it belongs to. But the board handles frames in the order in which they were written, and its answers
-come back in that order too. So failstop matches each answer with the earliest question that it fits. This question is
-never later than the true one, even if frames were lost. So no delay can make an old answer prove a new stop.
+come back in that order too. So failstop matches each answer with the earliest question that it fits. Even if frames
+were lost, the matched question is the true question or an earlier one, but never a later one. So an old answer can't
+prove a new stop, however late it comes.
 
-After a loss, the matched question may be earlier than the true one, so a stop may be acknowledged late or not at all.
-The matching catches up soon, because the order of the writes is irregular (schedule.Pings, Motion.marked).
+After frames were lost, failstop may match an answer with a question that is too early. A stop may then be acknowledged
+late or not at all. The matching soon becomes right again, because the questions and the speeds are written in an
+irregular order (schedule.Pings, Motion.marked).
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""Used instead of a ping's index if a command is written."""
+"""The value of `index` in Handled.wrote() if a command is written, and not a ping."""
 GIVEN_UP_NS = 10_000_000_000
-"""A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If bytes
-could be delayed for longer, on the way there and back, a late answer to an old question could be taken for an answer to
-a new one."""
+"""A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If a
+question and its answer together could be delayed for longer, failstop could take a late answer to an old question for
+the answer to a new question."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""If several writers write a stop within this time, in ns, their stops count as one, because all of them answer the
+"""If several processes write a stop within this time, in ns, their stops count as one, because all of them have the
 same cause."""
 MARGIN_NS = 100_000_000
 """A board's own watchdog may act this much too early, in ns."""
@@ -46,9 +48,9 @@ class Answers:
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """Return the time when the earliest question was asked that this answer can belong to, in ns. 0 if there is no
-        such question. `indices` are the questions that have this answer. All earlier questions are closed too, because
-        their answers were lost."""
+        """Find the earliest open question to which this answer fits, and return when the question was asked, in ns.
+        Returns 0 if the answer fits no open question. `indices` are the questions that have this answer. The found
+        question is closed. All earlier questions are closed too, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -62,11 +64,13 @@ class Answers:
 
 
 class Echo:
-    """Commands that the board may still report as obeyed. This is for a board without pings.
+    """Finds out from the board's reports which stop the board obeys. This is for a board without pings. It keeps the
+    commands that the board may still report as its present command.
 
     The board's report of the command that it obeys is called an echo. An echo of zeros proves a stop only if an echo of
     motion came before it, because a board whose command wire is broken also reports zeros. The board also reports zeros
-    after its own watchdog has acted. So the motion must be younger than the time after which the watchdog acts.
+    after its own watchdog has acted. So the motion must have been written so recently that the watchdog can't have
+    acted yet.
     """
 
     def __init__(self, fades_ns: int) -> None:
@@ -84,14 +88,15 @@ class Echo:
         0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
-        """Record that a command was written. Of equal commands in a row only the first one counts."""
+        """Record that a command was written. If the same command is written several times in a row, only its first
+        write counts."""
         if (written := tuple(speeds)) != self._written:
             self._written = written
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Return when the stop that this report proves was written, as a time in ns. 0 if the report proves no stop.
-        `others_ns` are the times at which other processes last wrote a stop."""
+        """If this report proves that the board obeys a stop, return when that stop was written, as a time in ns.
+        Returns 0 if the report proves no stop. `others_ns` are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -116,8 +121,8 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """Return the place of the earliest command with these speeds, counted from 1, and when it was written. (0, 0)
-        if there is none."""
+        """Find the earliest kept command with these speeds. Returns its place among the kept commands, counted from 1,
+        and when it was written. Returns (0, 0) if no kept command has these speeds."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -160,9 +165,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns a time in ns. The board has handled everything that was
-        written up to this time, and it obeys the stop if there was one. Returns 0 if the report proves nothing new.
-        `others_ns` is as in Echo.obeyed()."""
+        """Handle a report that came at `came_ns`. Returns a time in ns: the report proves that the board has handled
+        everything that was written up to this time. If a stop was written up to this time, the board obeys the stop.
+        Returns 0 if the report proves nothing new. `others_ns` is as in Echo.obeyed()."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

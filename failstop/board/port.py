@@ -69,10 +69,10 @@ def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> i
 
     A read raises BlockingIOError if nothing has come, and returns no bytes after a hang-up. With `exclusive`, other
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
-    called. Unless a service has the port, this makes the kernel's driver send the baud rate to the board's USB chip
-    again, even if the driver believes that the chip has it. The chip forgets it at a bus reset, for example when the
-    computer sleeps. Only a character device is ever opened, and nothing is written. `named_by` is the user whose file
-    names this path: root opens it with no more than that user's rights.
+    called. The board's USB chip forgets the baud rate when the USB bus is reset, for example when the computer sleeps,
+    and the kernel's driver does not notice. So this function makes the driver send the baud rate to the chip again,
+    unless a service has the port. Only a character device is ever opened, and nothing is written. `named_by` is the
+    user whose file names this path: root opens it with no more than that user's rights.
     """
     descriptor = -1
     try:
@@ -130,7 +130,8 @@ def unsent_bytes(descriptor: int) -> int:
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port. The service then reads the board's bytes, so no other program should."""
+    """True while a service has the port. The service then reads the bytes that the board sends. If another program read
+    them too, the service would miss them."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -225,8 +226,8 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """Try to lock the port. Returns False while a service has it. Then the speed must not be changed, because the
-    service's frames would be garbled."""
+    """Try to lock the port. Returns False while a service has the port. The caller must then leave the baud rate alone,
+    because another rate would garble the service's frames."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

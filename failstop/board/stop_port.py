@@ -1,11 +1,12 @@
 """StopPort: writes stops to the port. Every process that can stop the robot uses this class, so all processes write a
 stop in the same way.
 
-    the kernel                then the stop
-    takes all of it           is written
-    takes none now (EAGAIN)   is tried again at once: the kernel lacks room, or another process is writing
-    takes a part, or none     is not written yet: the rest goes first with the next burst, or with flush()
-    knows no such device      is not written; the port is gone
+    if the kernel                  then
+    takes the whole stop           the stop is written
+    takes nothing (EAGAIN)         the stop is tried again at once: the kernel lacks room, or another process is writing
+    still takes nothing, or has    the next burst() or flush() first writes the rest of this stop
+      taken only a part of it
+    knows no such device           the stop is not written, and `lost` becomes true
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""How long an early stop counts as being on the line if it was written whole, in ns. The loop of the same process is
-about to write the same stop, and need not do so during this time."""
+"""If early_stop() has written a whole stop, burst() writes nothing for this long, in ns. Otherwise the loop of the same
+process would write the same stop once more right after it."""
 
 
 class StopPort:
@@ -36,17 +37,17 @@ class StopPort:
     the device is gone, and `errno` is then the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos` are the ids of the robot's arm. The frames that stop the arm end the same write as the burst. So
-        they follow a whole burst, or are not written at all."""
+        """`servos` are the ids of the robot's arm. The frames that stop the arm are appended to the burst, and both are
+        written in one write. So the kernel takes the arm's frames only after it has taken the whole burst."""
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
-        """When the line will have been silent for as long as the board needs, in ns, as far as this process knows. 0 if
-        the board needs no silence."""
+        """The time when the line will have been silent for as long as the board needs, in ns. It counts only what this
+        process has written. 0 if the board needs no silence."""
         self._line_ns = 0
-        """The time, in ns, until which no other stop may be written. Until then the last whole stop of this process is
-        still on the line, or the line must be silent after it, so another stop would garble both. 0 if nothing has to
-        wait."""
+        """This process writes no further stop before this time, in ns. Until then, the newest stop of this process is
+        still on the line, or the line must be silent after that stop. A further stop would garble both stops. 0 if a
+        stop may be written at once."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -79,10 +80,11 @@ class StopPort:
     def burst(self) -> bool:
         """Write the stop burst now. Returns True if the kernel has taken all of it.
 
-        If the rest of an earlier stop is left, it goes first. The rest of any other frame is dropped, because a burst
-        works after any cut. Anything longer than one burst is dropped too, because otherwise stops would pile up at a
-        port that takes nothing. If a whole stop is still on the line, nothing is written, because on some boards a
-        second stop without a gap garbles both.
+        If the kernel has taken only a part of an earlier stop, the rest of that stop is written first. If it has taken
+        only a part of another frame, the rest of that frame is dropped, because a burst works after any cut. If the
+        rest is longer than one burst, it is dropped too. Otherwise stops would pile up at a port that takes nothing. If
+        a whole stop is still on the line, nothing is written, because on some boards a second stop without a gap
+        garbles both.
         """
         begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
@@ -91,8 +93,8 @@ class StopPort:
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def repeat(self, after_ns: tuple[int, ...]) -> None:
-        """Write the burst again after each of these times, in ns, and wait in between. This is for a program without a
-        loop."""
+        """Write the burst again at each of these times, in ns from now, and wait in between. This is for a program
+        without a loop."""
         begun_ns = time.monotonic_ns()
         for after in after_ns:
             time.sleep(max(0, begun_ns + after - time.monotonic_ns()) / 1e9)
@@ -135,7 +137,8 @@ class StopPort:
         return 0
 
     def holds(self) -> bool:
-        """True while the kernel holds bytes that any process has written. If the port can't answer, it is gone."""
+        """True while the kernel still holds bytes that were written to the port, by this or any other process. If the
+        kernel can't say this, the device is gone, and `lost` becomes true."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError as error:

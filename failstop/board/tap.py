@@ -31,14 +31,14 @@ class Tap:
         self.reports: set[int] = set()
         """The kinds of reports that came, other than answers to pings."""
         self.firmware = ""
-        """The name of the board's firmware, if that is not the usual firmware."""
+        """The name of the board's firmware, if the board reports that it is not the usual one."""
         self.missing: tuple[int, ...] = ()
-        """The servos that do not answer although others do."""
+        """The servos that do not answer, although other servos of the same board do."""
         self.size = 0
         """How many bytes were received."""
         self._flow: set[int] = set()
-        """Pings that were answered before this object had asked them. Such answers come for another reason, so they
-        prove nothing."""
+        """The pings to which an answer came before this object had asked them. Something else makes the board send
+        these answers, so they don't prove that the board hears this object."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """Return (time of reading in ns, kind, value) for each new report. Raises OSError if the device is gone."""
@@ -72,7 +72,7 @@ class Tap:
             return
 
     def ping(self) -> tuple[int, int]:
-        """Ask the board. Returns (index of the ping, time of its write in ns). Raises OSError."""
+        """Write the next ping to the board. Returns (index of the ping, time of its write in ns). Raises OSError."""
         index = self._pings % len(self._board.pings)
         self._pings += 1
         now_ns = time.monotonic_ns()
@@ -86,8 +86,8 @@ class Tap:
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Return the time when the earliest ping was written that this answer can belong to, in ns (see handled.py). 0
-        if it belongs to none."""
+        """Find the earliest ping to which this answer fits (see handled.py), and return when the ping was written, in
+        ns. Returns 0 if the answer fits no ping."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
@@ -103,8 +103,9 @@ class Tap:
         return None
 
     def zeros_ms(self, timeout_s: float) -> float | None:
-        """Return after how many ms a board without pings reports that it obeys zeros. None if it does not. This proves
-        little, because a board that hears nothing reports zeros too. Raises OSError."""
+        """Wait until a board without pings reports that its present command is zero. Returns after how many ms the
+        report came, or None if none came in time. The report proves little, because a board that hears nothing reports
+        zeros too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:
