@@ -1,4 +1,5 @@
-"""Described: makes a Board from the description in a Wire. Such a board has no gamepad and no keys."""
+"""Described: makes a Board from the description in a Wire. A board that is described in this way has no gamepad and no
+keys."""
 
 from __future__ import annotations
 
@@ -37,11 +38,12 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
-"""The most samples that one feed() returns. A reader that never ends would otherwise hold up telemetry forever."""
+"""The most samples that one feed() takes from the board's reader. If a faulty reader returned samples without end,
+telemetry would otherwise hang forever."""
 MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
-"""The largest load of a servo that is passed on, as a share, because a load is stored in percent in one byte. Feetech's
-loads go up to 1.023."""
+"""The largest load of a servo that counts as possible. A load of 1.0 is the most that the servo can give, and Feetech's
+servos report up to 1.023. The limit is 1.27 because a load is stored as percent in one signed byte."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 
@@ -56,7 +58,7 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Return everything that these bytes report, and which pings they answer."""
+        """Return all reports in these bytes, and the pings that these bytes answer."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -128,8 +130,8 @@ def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
 
 
 class Described(Board):
-    """A board that is described by a Wire. The number of its speeds and their unit are those of the description's
-    motion."""
+    """A board that is described by a Wire. The part `motion` of the Wire says how many speeds a frame of this board
+    has, and in which unit."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
@@ -168,11 +170,11 @@ class Described(Board):
         self.step_rps = wire.motion.step / per_rps
 
     def hearing(self) -> Hearing:
-        """Return a new decoder that uses the description's reader."""
+        """Return a new decoder. It uses the reader that the description names."""
         return Samples(self._wire)
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Return the frame that sets all wheels."""
+        """Return the frame that sets the speeds of all wheels."""
         limit = self._limit(max_rps)
         every = [number("speed of a wheel", speed, -max_rps, max_rps, "rps") for speed in rps]
         return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
@@ -187,26 +189,27 @@ class Described(Board):
         return None if found is None else tuple([speed / self.per_rps for speed in found])
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds of a motion frame or a stop. None if the board does not report the command that it obeys,
-        or if it has pings."""
+        """Return the speeds of a motion frame or a stop. None if the board does not report the command that it obeys.
+        Also None if the board has pings, because only a board without pings needs this (handled.Echo)."""
         if not self.echo_ns or self.pings:
             return None
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """Return the frame with the mark of this turn, if the description's motion has marks."""
+        """If the description can mark frames (Motion.marked), return the frame with the mark for this turn, which makes
+        it slightly slower. Otherwise return the frame unchanged."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self.per_rps * _ROUNDING, self._motion.limit)
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """Empty, because such a board has no buzzer."""
+        """Always returns no bytes, because failstop knows no buzzer on a board that a Wire describes."""
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """Check a frame that is not motion, with `aux` of the description. A motion frame never passes. If the
-        description has no such check, nothing passes."""
+        """Check an extra frame, for example one for a light, with the function `aux` of the description. A motion frame
+        never passes. If the description has no function `aux`, no frame passes."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"
         try:
@@ -216,7 +219,7 @@ class Described(Board):
 
 
 class SteeredBoard(SteeringMixin, Described):
-    """A described board of a steered base."""
+    """The board of a steered base, if a Wire describes the board."""
 
     __slots__ = ("_steering",)
 

@@ -2,8 +2,8 @@
 
 A driver is a program that somebody else wrote for the bare board. The guard port (failstop/guard) gives it a
 pseudo-terminal that behaves like the board. The board's own folder has a DriverLanguage that knows how the board
-behaves: it takes the driver's bytes, and returns what they ask for. A language is pure: it does no I/O, it gets every
-time as an argument, and it never raises on bytes.
+behaves: it reads the driver's bytes, and returns what the driver asks for. A language is pure: it does no I/O, it gets
+every time as an argument, and it never raises on bytes.
 
 A language returns rows of four kinds:
 
@@ -46,13 +46,13 @@ if TYPE_CHECKING:
         language begins with nothing, as after a reset of the board."""
 
         def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
-            """Return what the driver asks for with these bytes, in order. The bytes may be split or joined in any way.
-            The language must accept every spelling that the board's own receiver accepts. It must never find motion
-            that the receiver would not find, or a faster one. It keeps the bytes of an incomplete frame, up to a
+            """Return the rows that these bytes from the driver ask for, in order. The bytes may be split or joined in
+            any way. The language must accept every spelling that the board's own receiver accepts. It must never find
+            motion that the receiver would not find, or a faster one. It keeps the bytes of an incomplete frame, up to a
             limit."""
 
         def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-            """Return what to pass on to the driver of these bytes that the board sent, in whole frames or lines.
+            """Handle bytes that the board sent. Returns the bytes that are for the driver, in whole frames or lines.
             Reports that come unasked are passed on. Answers to failstop's own questions are not. For a board that only
             answers, this returns an empty list, and the language uses what it has learned to answer the driver's next
             question."""
@@ -66,8 +66,8 @@ class DriverMotion(Data):
 
     speeds: Sequence[float]
     refused: bool = False
-    """True for a stop that replaces a refused command. The driver did not ask for this stop, so it still counts as
-    driving: if it dies next, it died while driving."""
+    """True for a stop that replaces a refused command. The driver did not ask for this stop, so the driver still counts
+    as driving. If the driver dies next, failstop reports that it died while driving."""
     steering_rad: float | None = None
     """The angle of the steered wheels in radians, positive to the left. None if the base is not steered, or if the
     speeds of its wheels say how it turns."""
@@ -99,8 +99,9 @@ class DriverRefusal(Data):
 
 
 def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
-    """Return a new conversation with the board of the setting board.kind. None if nobody has described what a driver
-    may write to this board. `settings` has every setting by its full key. Raises ValueError."""
+    """Make the DriverLanguage for one driver of the board that the setting board.kind names. Returns None if nobody has
+    described what a driver may write to this board. `settings` has every setting by its full key. Raises ValueError if
+    a setting does not fit the board."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):

@@ -1,5 +1,5 @@
-"""Facts: what the settings must know about a kind of board before a Board is made. Each board's folder has a
-facts.py."""
+"""Facts: the facts about a kind of board that failstop needs to read the settings, before it makes a Board. The folder
+of each board has a facts.py with them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ USUAL_CAN_ID = 1
 
 
 class ArmFacts(Data):
-    """What the settings must know about the servos of an arm on this board."""
+    """Facts about the servos of an arm on this kind of board."""
 
     highest: int
     """The highest position of a servo, in pulses. The lowest is 0."""
@@ -24,14 +24,14 @@ class ArmFacts(Data):
     wheels: tuple[int, ...] = ()
     """The ids of servos on the same bus that turn the wheels. No joint may use these ids."""
     joint: Mapping[str, float] = {}
-    """Defaults of a joint's settings, by key, where they differ from the usual ones."""
+    """Default values for the settings of a joint, by key. Only defaults that differ from the usual ones are listed."""
 
 
 class SteeringServo(Data):
     """The servo of a steered base, as the settings describe it."""
 
     kind: str
-    """How the servo is connected: "pwm" or "bus". The names are those of the setting."""
+    """How the servo is connected: "pwm" or "bus"."""
     id: int
     centre: int
     """The pulses at which the wheels point straight ahead."""
@@ -42,28 +42,32 @@ class SteeringServo(Data):
 
 
 class Facts(Data):
-    """What the settings must know about one kind of board."""
+    """The facts about one kind of board that failstop needs to read the settings."""
 
     speeds: int
-    """How many speeds a frame sets. For a base whose layout is in `layouts`, the number there counts instead."""
+    """How many speeds a frame sets. If `layouts` lists the layout of the base, the number in `layouts` is used
+    instead."""
     imu: bool
     """True if the board has an IMU."""
     arm: ArmFacts | None = None
     """The arm's servos. None if the board has no servos for an arm."""
     steers: Mapping[str, tuple[int, int, int]] = {}
-    """The kinds of servos that can steer a base on this board: for each kind its fewest and most pulses, and its
-    highest id. Empty if the board can't steer."""
+    """The kinds of servos that can steer a base on this board. Each value is (fewest pulses, most pulses, highest id).
+    Empty if the board can't steer."""
     layouts: Mapping[str, int] = {}
     """How many speeds a frame sets on a base with one of these layouts (the setting wheels.layout), where this differs
     from `speeds`."""
     most: int = 0
-    """The most speeds that a frame can set. If a wheel's id is higher than the layout needs, frames get longer, up to
-    this number. 0 means that frames are always as long as the layout needs."""
+    """The most speeds that a frame can set. Usually a frame has as many speeds as the layout needs. If the settings
+    give a wheel a higher id, each frame has more speeds, but never more than this. 0 means that a frame never has more
+    speeds than the layout needs."""
     steered_defaults: Mapping[str, float] = {}
-    """Defaults of settings for a steered base, by key, where they differ from the usual ones."""
+    """Default values of settings for a steered base, by key. Only defaults that differ from the usual ones are
+    listed."""
     can: bool = False
     """True if the board's second motor is connected by CAN. The setting board.can_id then has the id of that motor."""
     motors: Mapping[int, str] = {}
-    """Names of the motors that have controllers of their own, by the ids in their reports (wire.Health)."""
+    """Names for people of the motors that have their own controllers, by the ids in the controllers' reports
+    (wire.Health)."""
     defaults: Mapping[str, float] = {}
-    """Defaults of settings, by key, where they differ from the usual ones."""
+    """Default values of settings, by key. Only defaults that differ from the usual ones are listed."""

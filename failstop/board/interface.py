@@ -114,19 +114,19 @@ class ServoBus:
     """True if the arm may move while the wheels may turn. This needs a board on which a stop never has to wait for a
     servo."""
     holds_by_goal: bool
-    """True if a servo moves on to its last goal by itself, because a stop does not change that goal. In a stream of
-    moves the goal is only a few degrees ahead. If the servo lags behind, failstop sends it to the position that was
-    read from it."""
+    """True if a servo keeps moving to its newest goal after a stop, because a stop does not change the goal. In a
+    stream of moves the goal is only a few degrees ahead. If the servo lags behind the stream, failstop makes the
+    servo's measured position its new goal."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Return the frames that stop these servos. They follow the burst in the same write. Empty if a stop leaves the
-        servos alone."""
+        """Return the frames that stop these servos. failstop appends the frames to the stop burst and writes both in
+        one write. Empty if a stop leaves the servos alone."""
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Return the frame that moves a few servos within `duration_ms`. Each position is (id, pulses). If some frames
-        must be avoided, the encoder may choose another duration, up to `longest_ms` (0 means servos.LONGEST_MOVE_MS).
-        Raises FrameError."""
+        """Return the frame that moves a few servos within `duration_ms`. Each position is (id, pulses). On some boards
+        a few frames would be dangerous if they were cut short. To avoid such a frame, the encoder may choose another
+        duration, up to `longest_ms` (0 means servos.LONGEST_MOVE_MS). Raises FrameError."""
         raise NotImplementedError
 
     def read(self, servo: int, what: int) -> bytes:
@@ -181,16 +181,16 @@ class SteeringFrames:
 
 
 class Board:
-    """One board's language, as failstop uses it: constants and pure functions. A description of your own board becomes
-    such an object too."""
+    """Everything that failstop must know to talk to one board: constants and pure functions. If you describe your own
+    board, failstop makes a Board from your description too."""
 
     __slots__ = ()
 
     name: str
     """The name of the board for people, for example "an Arduino with ros_arduino_bridge"."""
     port: Port
-    """How the board's serial port is set up, and how long the board hears nothing after that. Motion can't be enabled
-    until the board hears and its opening frames were written."""
+    """How the board's serial port is set up, and how long the board hears nothing after the port was opened. Motion
+    can't be enabled until the board hears and its opening frames were written."""
     idle_ns: int
     """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 means no time at
     all. A stop never waits for this."""
@@ -198,16 +198,17 @@ class Board:
     """How long the line must be silent after a stop, in ns, even before the same writer's next stop. 0 means that stops
     may follow each other without a gap. If it is not 0, a stop counts as lost until it was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """When a stop is written again, in ns after it. Each writer has its own row (PORT_OWNER_ROW, STOPPER_ROW,
-    SUPERVISOR_ROW), because writers can't see each other's bytes: with different times, no two stops touch twice in a
-    row. Some boards lose two stops that touch. For these the repeats go on for 0.4 s, which is longer than an adapter
-    stalls, and the writers go on until then even if the supervisor dies. After motion, the port owner repeats the
-    gate's first zero frame at the same times."""
+    """When a writer repeats its stop, in ns after its first stop. Each writer has its own row (PORT_OWNER_ROW,
+    STOPPER_ROW, SUPERVISOR_ROW). The rows may differ, because the writers can't see each other's bytes. If the stops of
+    two writers touch on the line, their next stops then come at different times and do not touch. Some boards lose two
+    stops that touch. For such a board the repeats go on for 0.4 s, which is longer than an adapter stalls, and the
+    writers finish their repeats even if the supervisor dies. When motion ends, the port owner repeats the gate's first
+    frame of zeros at the same times."""
     stop: bytes
     """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
-    """The bytes that stop the wheels, in one write. They do so whatever state the board's receiver is in, at the latest
-    when they are repeated."""
+    """The bytes that stop the wheels, in one write. In some states, the board's receiver misses a burst. Then it
+    receives one of the repeats of the burst."""
     first_stop: bytes
     """The beginning of the burst, up to the end of its first stop frame. When a stop is needed, this is written before
     anything else is done. If it is the whole burst, the burst is not written again right after it."""
@@ -216,15 +217,15 @@ class Board:
     up."""
     pings: tuple[bytes, ...]
     """Questions that move nothing, at most layout.PINGS. The board handles them in order with all other frames. All
-    pings differ, and so do their answers, so an answer shows which ping it belongs to. It also proves that the board
-    received this ping whole. Empty if the board can't be asked. The state of its link is then `unasked`, and nothing
-    waits for an answer."""
+    pings differ, and so do their answers, so an answer shows which ping it belongs to. The answer also proves that the
+    board received this ping whole. Empty if the board can't be asked. The state of its link is then `unasked`, and
+    nothing waits for an answer."""
     ping_ns: int
     """The proofs about this board need a ping at least this often, in ns. 0 means that they need no particular rate."""
     echo_ns: int
     """After a command was written, the board reports within this time that it obeys the command, in ns. 0 if the board
-    makes no such reports. A board that makes them acknowledges a stop by such a report. Its answer to a ping is then
-    not enough."""
+    makes no such reports. If echo_ns is not 0, the board acknowledges a stop only by reporting that it obeys the stop.
+    An answer to a ping is then not enough."""
     silent_ns: int
     """If the board's reports about its wheels or its IMU pause for this long, in ns, the board has restarted. 0 if the
     board reports nothing."""
@@ -232,8 +233,9 @@ class Board:
     """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
     restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
-    """How long after the last frame the board's own watchdog makes it report zeros, in ns. These zeros do not prove a
-    stop. 0 if the board makes no such reports, or has no watchdog."""
+    """If the board gets no frame for this long, in ns, its own watchdog acts, and the board then reports that its
+    present command is zero. These reports do not prove a stop. 0 if the board makes no such reports, or has no
+    watchdog."""
     acknowledged_by: str
     """How the board acknowledges a stop: BY_ANSWER or BY_ECHO. Empty if it acknowledges nothing."""
     observed_by: str
@@ -242,7 +244,7 @@ class Board:
     """How many of the board's speed units make one wheel turn per second."""
     scale_assumed: bool = False
     """True if nobody has confirmed that `per_rps` is right for this robot's motors and encoders, and the board's
-    reports can't reveal an error. A number that a person has only written into the settings is not confirmed, unless
+    reports can't reveal an error. A number that a person has written into the settings counts as confirmed only if
     board.per_rps_confirmed has the same number."""
     reports: WheelReports
     """What the board reports about its wheels, and how to read it."""
@@ -289,9 +291,10 @@ class Board:
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """Return a motion frame that is sent for the `turn`th time, made slightly slower depending on the turn. Without
-        this, the board's reports of a steady command could not show whether frames still arrive. If the board's reports
-        are not used as a proof, the frame is returned unchanged."""
+        """Return a motion frame for the `turn`th time that the same motion is sent. Depending on the turn, the frame is
+        slightly slower than commanded. If all frames were equal, the board's reports of its present command could not
+        show whether frames still arrive. If the board's reports are not used as a proof, the frame is returned
+        unchanged."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

@@ -16,8 +16,8 @@ MOST_NS = 2_000_000_000
 
 
 def pack_stop(board: Board) -> str:
-    """Return a board's stop as one line of text that unpack_stop() can read. Only the last row of repeats is kept, and
-    every writer gets it."""
+    """Return a board's stop as one line of text that unpack_stop() can read. Of the repeats, only the supervisor's row
+    is kept. unpack_stop() gives this row to all writers."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
     repeats = ",".join(map(str, board.repeats_ns[-1]))

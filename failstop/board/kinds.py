@@ -61,8 +61,8 @@ def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = US
 
 def watchdog_of(kind: str) -> tuple[float, str]:
     """Return how many seconds after the last motion the board's own watchdog acts, and what it does (ZERO, COAST or
-    DISARM of wire.py). The time is 0 if the board has no watchdog. It is also 0 for your own board, because your folder
-    is not loaded for this."""
+    DISARM of wire.py). The time is 0 if the board has no watchdog. It is also 0 for your own board, because this
+    function does not load your board's folder."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog

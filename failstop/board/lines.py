@@ -15,12 +15,14 @@ class MotionLine:
     needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
-        """`form` is the pattern of the line, with a group for each speed. `write` makes the line from left and right,
-        truncated towards zero. `most` is the largest speed that the board accepts, in `unit`."""
+        """`form` is the pattern of the line, with a group for each speed. `write` makes the line from the speeds of
+        left and right, and truncates both towards zero. `most` is the largest speed that the board accepts, in
+        `unit`."""
         self._form, self._write, self._most, self._unit = form, write, most, unit
 
     def frame(self, both: Sequence[float], limit: float) -> bytes:
-        """Return the line for left and right, each within plus or minus `limit`. Raises FrameError."""
+        """Return the line that sets the speeds of left and right. Raises FrameError if a speed is not within plus or
+        minus `limit`."""
         return self._write(*two_speeds(both, limit, self._most, self._unit))
 
     def speeds(self, frame: bytes) -> tuple[float, float] | None:

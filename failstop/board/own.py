@@ -1,8 +1,8 @@
 """Own: your own board. It is a folder with a module wire.py, which has the board's description: a Wire named WIRE.
 
-One line of wire.py says for which vocabulary it was written, and failstop reads this line before it runs the module.
-The modules of the folder import each other with a dot (`from . import codec`). They import failstop's modules as any
-other program does.
+One line of wire.py says for which version of failstop/board/wire.py it was written (VOCABULARY). failstop reads this
+line before it runs the module. The modules of the folder import each other with a dot (`from . import codec`). They
+import failstop's modules as any other program does.
 
 The modules may run as root, in every process of the service. So anyone who may write them may drive the robot.
 Therefore the folder, everything in it, and every folder and link on the way to it must belong to root or to the
@@ -39,8 +39,8 @@ OWN_PACKAGE = "failstop_own_board"
 SAYS = b"VOCABULARY = "
 """The beginning of the line in wire.py that says for which vocabulary it was written."""
 LIMIT_S = 5.0
-"""How long the modules of your own board may take to load and to answer, in s. The modules of failstop's boards take 20
-ms."""
+"""How long it may take to load and test the modules of your own board, in s. For the boards that failstop describes
+itself, this takes 20 ms."""
 _MOST_LINKS = 40
 _MOST_FILES = 2000
 _MOST_BYTES = 1 << 20
@@ -61,8 +61,9 @@ class OwnBoardError(ValueError):
 
 
 def wire(folder: str, *, tried: bool = False) -> Wire:
-    """Return the description of your own board, which is in `folder`. Set `tried` if the process that started this one
-    has already had a child process load and test it. Raises OwnBoardError."""
+    """Return the description of your own board, which is in `folder`. Unless `tried` is set, a child process first
+    loads and tests the description. Set `tried` if the process that started this one has already done this. Raises
+    OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
     _check(folder)
@@ -175,7 +176,8 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """Return what the child has reported. Empty if it ended without a report. None if it has not reported in time."""
+    """Return what the child process has reported. Returns no bytes if the child ended without a report, and None if the
+    child has neither reported nor ended in time."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -207,8 +209,8 @@ def _kill(child: int) -> None:
 
 
 class _Modules:
-    """Finds and loads the modules of one folder. Python asks no other finder for them. So it never imports a compiled
-    copy next to a source, an extension or a subfolder."""
+    """Finds and loads the modules of one folder. Python asks no other finder for these modules, so it imports only
+    their source files. It never imports an extension, a subfolder, or a compiled copy of a source."""
 
     def __init__(self) -> None:
         self.folder = ""
@@ -310,8 +312,8 @@ def _open(path: str) -> tuple[int, os.stat_result]:
 
 
 def _check(folder: str) -> None:
-    """Refuse the folder if another user may change it, anything in it, or any place on the way to it. Raises
-    OwnBoardError."""
+    """Refuse the folder if another user may change the folder, anything in it, or any folder or link on its path.
+    Raises OwnBoardError."""
     fd, info = _open(folder)
     try:
         if not stat.S_ISDIR(info.st_mode):

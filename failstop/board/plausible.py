@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 LEAST_V, MOST_V = 1.0, 1000.0
 """The limits for a battery's voltage. A voltage below LEAST_V drives no motor. For example, a board that is powered
-only by USB measures a few hundredths of a volt. It then reports that there is no battery, instead of an empty one."""
+only by USB measures a few hundredths of a volt. failstop then says that no battery is connected, instead of warning of
+an empty battery."""
 MOST_G, MOST_DPS = 1000.0, 100_000.0
 """The limits for an IMU's acceleration and turn rate. They are about 30 times what such sensors measure."""
 MOST_COUNT = 1e15
-"""The limit for a wheel's speed or position, in any unit. A float below it can still be told from the next whole
-number."""
+"""The limit for a wheel's speed or position, in any unit. Below this limit, a float can still hold every whole number
+exactly."""
 MOST_REPORTED_WHEELS = 16
 MOST_HEALTH_ROWS = 16
 LONGEST_ODD_TEXT = 60
@@ -48,7 +49,8 @@ def finite(value: object, most: float) -> float:
 
 
 def finite_numbers(values: Iterable[object], most: float, least: int, count: int) -> tuple[float, ...]:
-    """Return at least `least` and at most `count` values as finite floats. Raises one of IMPOSSIBLE."""
+    """Return the values as finite floats. Raises one of IMPOSSIBLE if a value is impossible, or if there are fewer than
+    `least` or more than `count` values."""
     found = []
     for value in values:
         found.append(finite(value, most))

@@ -65,7 +65,8 @@ def _shown(value: object) -> str:
 
 
 def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
-    """Call a function of the description. A function that raises is a fault."""
+    """Call a function of the description, and return its result. If the function raises an error, this is a fault of
+    the description."""
     try:
         return function(*values)
     except (Exception, SystemExit) as error:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class SteeringMixin(Board):
-    """Adds steering to a class of boards. Inherit from this class first, then from the board's class. A motion frame of
-    such a board is the frame for the wheels followed by the frame for the steering. The frame for the wheels always has
-    the same length."""
+    """Adds steering to a class of boards. Inherit from this class first, then from the board's class. A motion frame
+    then has two parts, the frame for the wheels and after it the frame for the steering. The frame for the wheels
+    always has the same length."""
 
     __slots__ = ()
 

@@ -22,11 +22,12 @@ VOCABULARY = 1
 something else."""
 
 ZERO = "zero"
-"""A watchdog that does this brakes the wheels to rest."""
+"""The value of Watchdog.does for a watchdog that brakes the wheels to rest."""
 COAST = "coast"
-"""A watchdog that does this cuts the motors' current, so the wheels roll on."""
+"""The value of Watchdog.does for a watchdog that cuts the motors' current, so that the wheels roll on."""
 DISARM = "disarm"
-"""A watchdog that does this stops the wheels, and the board accepts no motion until it is armed again."""
+"""The value of Watchdog.does for a watchdog that stops the wheels. After it has acted, the board accepts no motion
+until the board is armed again."""
 
 WRITTEN = "written"
 ANSWERED = "answered"
@@ -34,8 +35,8 @@ ANSWERED = "answered"
 ECHOED = "echoed"
 """The proof that the board obeys a stop: it reports that its present command is zero."""
 OBSERVED = "observed"
-"""The proof that the wheels are at rest: the board's own reports of their speeds or positions show it. On a board that
-can't give this proof, an IMU may show it."""
+"""The proof that the wheels are at rest: the board's own reports of the wheels' speeds or positions show this. If a
+board can't give this proof, failstop may still see from an IMU that the robot is at rest."""
 
 BITS_PER_BYTE = 10
 """How many bits one byte takes on the serial line: a start bit, eight data bits and a stop bit."""
@@ -72,26 +73,28 @@ class Write(Data):
 
 
 class TimedStop(Data):
-    """Writes that stop the wheels whatever state the board's receiver is in."""
+    """How failstop stops the wheels: what it writes to the port, and when it repeats this. The bytes must stop the
+    wheels whatever state the board's receiver is in, at the latest when they are repeated."""
 
     writes: tuple[Write, ...]
     after_ns: int
     """How long the line must be silent after the last byte of the stop, in ns."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """When each writer writes the stop, in ns after it began to stop. There is a row for the port owner, one for the
-    stopper and one for the supervisor. A row begins with 0, the stop itself, and goes on with the times of its repeats.
-    The rows differ because the writers can't see each other's bytes: with different times, the stops of two writers
-    never touch twice in a row. Some boards drop stops that touch. For such a board the last repeats must come later
-    than 0.3 s, because after a stall an adapter sends everything it has kept at once."""
+    """When each writer writes the stop, in ns after its first stop. The first row is for the port owner, the second for
+    the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and goes on with the
+    times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line. Some boards
+    drop two stops that touch. For such a board, give each row different times, so that the next stops of the two
+    writers do not touch. The last repeats must then come later than 0.3 s, because after a stall an adapter sends
+    everything it has kept at once."""
 
 
 class Pace(Data):
     """When frames other than stops may be written."""
 
     idle_ns: int
-    """How long the line must be silent before such a frame, in ns."""
+    """How long the line must be silent before a frame other than a stop, in ns."""
     unanswered: int | None
-    """How many frames may wait for an answer at the same time. None means any number."""
+    """How many frames may wait for the board's answer at the same time. None means any number."""
 
 
 class Watchdog(Data):
@@ -99,8 +102,8 @@ class Watchdog(Data):
     crashed or the cable was pulled."""
 
     after_ns: int
-    """How long after the last motion the watchdog acts on a board that has just started, before failstop has set it, in
-    ns. 0 means that it does not act."""
+    """How long after the last motion the watchdog acts if failstop has not set its time, in ns. On a board that has
+    just started, the watchdog has this time. 0 means that the watchdog does not act until its time is set."""
     does: str
     """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
@@ -121,7 +124,7 @@ class Watchdog(Data):
 NO_WATCHDOG = Watchdog(
     after_ns=0, does=ZERO, arm=None, set_ns=0, fed_by="it has none: it keeps its last speed for ever"
 )
-"""The value of `watchdog` for a board that has none."""
+"""The value of Wire.watchdog for a board that has no watchdog of its own."""
 
 
 class Motion(Data):
@@ -164,12 +167,12 @@ class Sample:
 
 
 class Wheels(Sample, Data):
-    """A report about the wheels. It has values for left and right, or for each wheel. If the board does not report
-    speeds, or does not report positions, that tuple is empty."""
+    """A report about the wheels. Each tuple has values for left and right, or for each wheel. `speeds` is empty if the
+    board reports no speeds, and `positions` is empty if it reports no positions."""
 
     speeds: tuple[float, ...]
-    """The wheels' speeds, in the unit that Reports.speed_per_rps describes, or else in the unit of the board's
-    motion."""
+    """The wheels' speeds. Reports.speed_per_rps defines their unit. If the description has no Reports, the unit is that
+    of the board's motion frames."""
     positions: tuple[float, ...]
     """The wheels' odometers, in the board's own unit. Two equal reports in a row prove that the wheels are at rest."""
 
@@ -209,7 +212,8 @@ class Imu(Sample, Data):
 
 
 class Answer(Sample, Data):
-    """A line that the board sends only when it is asked. It proves that the board hears, and reports nothing else."""
+    """A line or frame that the board sends only when it is asked. This proves that the board hears. An Answer contains
+    no other report."""
 
     text: str
 
@@ -252,15 +256,15 @@ class Reader:
 
 
 class Commander(Data):
-    """Another program, device or person that can command the wheels, so that failstop is not alone."""
+    """Another program, device or person that can command the wheels without failstop."""
 
     who: str
     """A text for people: who or what this is, and how it can send commands."""
     remedy: str
     """A text for people: how to prevent such commands."""
     program: str = ""
-    """A part of the program's command line, by which failstop finds the program on the robot's computer. Empty if this
-    is not such a program."""
+    """If this is a program on the robot's computer, a part of its command line, by which failstop finds the program.
+    Otherwise empty."""
     fix: str = ""
     """The command that ends the program for good. Empty if nothing restarts the program when it is ended."""
 
@@ -319,18 +323,18 @@ class Wire(Data):
     separate USB adapter, because it says nothing about the board behind the adapter."""
     silent_ns: int = 0
     """If the board's reports about its wheels pause for this long, in ns, the board has restarted. It makes no
-    difference whether the reports come unasked or as answers. Choose a time so long that one report garbled on the line
-    can't make such a pause. 0 if the board reports nothing."""
+    difference whether the reports come unasked or as answers. Choose a longer time than the pause that one garbled
+    report would cause. 0 if the board reports nothing."""
     commanders: tuple[Commander, ...] = ()
     reports: Reports | None = None
-    """How to read the board's reports about its wheels. With None, reported speeds are in the unit of its motion, and
-    positions only show whether the wheels are at rest."""
+    """How to read the board's reports about its wheels. If this is None, the reported speeds have the unit of the
+    board's motion frames, and reported positions only show whether the wheels are at rest."""
     arm: Callable[[Port], ServoBus] | None = None
     """A function (port) that makes the object which talks to an arm's servos on this port. None if the board has no
     arm."""
     steering: Callable[[SteeringServo], SteeringFrames] | None = None
     """A function (servo of the settings) that makes the frames for the servo of a steered base. None if the board can't
-    turn such a servo."""
+    turn a steering servo."""
     aux: Callable[[bytes], str] | None = None
     """A function (frame) that checks an extra frame, for example one for a light. It returns why the frame must not be
     written, or "" if it may be written. An extra frame must move nothing, even if it is cut off, and may keep the board
