@@ -100,7 +100,8 @@ def _opened(path: str, named_by: int) -> int:
 
 
 def open_if_there(path: str, line: Port) -> int:
-    """Open a port that may be gone, exclusively. Returns -1 if that fails. Never raises, and never looks up users."""
+    """Open a port exclusively, if it still exists. Returns -1 if it can't be opened. Never raises, and never looks up
+    users."""
     # A device exists before udev has given it to its group. Then the open would be refused. To explain a refusal,
     # open_port() looks up users, which may take long, and here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
@@ -123,9 +124,8 @@ def waiting_bytes(descriptor: int) -> bytes | None:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """Return how much was written to the port that the kernel has not sent yet (TIOCOUTQ). The unit depends on the
-    driver: cdc_acm counts 1280 for each write under way, a pty always has 0, and other drivers count bytes. Raises
-    OSError."""
+    """Return how much written data the kernel has not sent on the line yet (TIOCOUTQ). The unit depends on the driver:
+    cdc_acm counts 1280 for each write under way, a pty always has 0, and other drivers count bytes. Raises OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
@@ -149,8 +149,8 @@ def has_lines(descriptor: int) -> bool:
 
 
 def set_speed(descriptor: int, line: Port) -> None:
-    """Switch to another board's baud rate. The modem lines stay unchanged, because a change may reset the board. Raises
-    OSError."""
+    """Switch the port to the baud rate of `line`. The modem lines stay as they are, because changing them may reset the
+    board. Raises OSError."""
     try:
         _set_raw(descriptor, termios.tcgetattr(descriptor), getattr(termios, f"B{line.baud}"))
     except termios.error as error:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
-"""The highest speed of Damiao's fastest motor for this board, the DM-H3510, in rad/s."""
+"""The highest speed of the DM-H3510, in rad/s. It is the fastest of the motors in the sources of this module."""
 MOST = 4
 """How many motors the largest base has. A stop is always for this many motors."""
 STEPS = 64

@@ -55,8 +55,8 @@ _MOVES_AT = 4
 
 
 def held_ns(frame: bytes) -> int:
-    """Return how long a servo's frame holds up the receiver at most, in ns. The frame's form and its count must be
-    right."""
+    """Return how long a servo's frame holds up the receiver at most, in ns. Call this only for a frame whose form and
+    count have been checked."""
     data = frame[4:]
     if data[0] == SERVO_MOVE:
         return MOVE_NS * data[3]
