@@ -1,4 +1,4 @@
-"""Arm: moves the robot's arm from Python. Angles are in rad. Each joint has the name that it has in the settings
+"""Arm: moves the robot's arm from Python. Angles are in rad. The joints have the names that the settings give them
 ([joints.NAME])."""
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Arm:
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """The joints by name. Each has its range (range_rad). They come from the service that is running at present,
-        because a restart may have changed them. Raises NoService, FailstopError."""
+        """The joints by name. Each has its range (range_rad). Each access reads them from the running service, because
+        a restart may have brought other settings. Raises NoService, FailstopError."""
         with self._session._lock:
             found = self._session._current().joints
         if not found:
@@ -50,12 +50,12 @@ class Arm:
         speed: float = 1.0,
         progress: Progress = None,
     ) -> str:
-        """Move the arm to these angles, and return when a reading confirms that it is there.
+        """Move the arm to these angles, and return when a reading confirms that the arm has reached them.
 
-        `to` is either one set of angles, or a trajectory: a list of points (seconds from the start, angles) that all
-        have the same joints. `over_s` is the time for one set of angles; with 0 the arm moves as fast as `speed`
-        allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with each text
-        about the progress.
+        `to` is either one set of angles, or a trajectory: a list of points (seconds from the start, angles). Every
+        point must name the same joints. `over_s` is the time for one set of angles; with 0 the arm moves as fast as
+        `speed` allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
+        each text about the progress.
 
         Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, the wheels are
         enabled, a stop is latched, another request or arm.hold() ends the move, or a servo does not answer or does not
@@ -88,15 +88,16 @@ class Arm:
         return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
-        """Move the arm toward these angles, and return at once. The arm follows them until arm.goal_timeout_s after the
-        last call, so call this again and again. Raises Refused for an angle out of range. State.arm shows if the arm
-        moves, and if not, why."""
+        """Move the arm toward these angles, and return at once. The arm stops when the setting arm.goal_timeout_s has
+        passed without a new call, so call this function again and again. Raises Refused for an angle out of range.
+        State.arm shows whether the arm moves. If it does not, State.arm gives the reason."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn joints at these rates (rad/s), and return at once. They turn until arm.goal_timeout_s after the last
-        call, so call this again and again. Raises Refused for a rate that is not finite."""
+        """Turn joints at these rates (rad/s), and return at once. They stop when the setting arm.goal_timeout_s has
+        passed without a new call, so call this function again and again. Raises Refused for a rate that is not
+        finite."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -108,8 +109,8 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, and all goals are dropped. An enable that is just moving the
-        arm to its drive pose is given up, so motion stays disabled."""
+        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is just moving
+        the arm to its drive pose, that call fails, and motion stays disabled."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
@@ -131,11 +132,12 @@ class Arm:
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Check the arm's whole way before it begins, starting at its present position. Raises Refused if the arm would
-        hit something.
+        """Check the whole path of a move before the arm begins it. The path starts at the arm's present position.
+        Raises Refused if the arm would hit something.
 
-        This check is done here, not in the gate. It takes many milliseconds, and the gate must always be ready to stop
-        the wheels. The gate checks each single move before it sends the move.
+        The client does this check, not the gate, because the check takes many milliseconds and the gate must always be
+        ready to stop the wheels. A move consists of many small steps. The gate checks only the end of each step before
+        it sends that step.
         """
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):

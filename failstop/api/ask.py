@@ -1,6 +1,6 @@
-"""Ask: asks a running service to stop the robot, and watches if it does. Only the stop pipe is needed for that. Other
-things, such as the service's state, are read if possible. They may be unreadable because the service has another
-version, has only half started, or is partly dead."""
+"""Ask: asks a running service to stop the robot, and checks that it does. The request needs only the stop pipe. The
+service's state is read too, if possible. It can't be read if the service is of a different version, has only half
+started, or is partly dead."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 LATCH_S = 1.0
-"""How long to wait until the service has latched the stop, in seconds. Normally that takes a few milliseconds."""
+"""How long to wait until the service has latched the stop, in seconds. Normally the service needs only a few
+milliseconds."""
 HEAR_S = 0.3
 """If a stop is latched but the board has not answered, wait this long for the answer, in seconds, before reporting the
 stop."""
@@ -27,11 +28,12 @@ LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Ask a service to stop the robot, and wait until it has latched the stop, but not longer than LATCH_S. Raises
-    nothing itself.
+    """Ask a service to stop the robot, and wait until it has latched the stop, but not longer than LATCH_S. stop()
+    raises no error; if something fails, it returns a text about the problem.
 
-    Returns (result, problem, doubt). `result` is a text about the stop; it is empty if no stop is known to be written.
-    `problem` is a text about what is wrong; it may be empty. `doubt` is True if the wheels may still turn.
+    Returns (result, problem, doubt). `result` is a text about the stop; it is empty if nothing shows that a stop was
+    written. `problem` is a text about what is wrong; it may be empty. `doubt` is True if a stop is latched but the
+    wheels may still turn.
     """
     try:
         send_stop(name, reason, who)
@@ -50,8 +52,8 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
     The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
-    Other requests may keep the pipe from ever becoming empty. In that case, a higher epoch than at the beginning shows
-    that the stop was written.
+    The pipe may never become empty if other programs keep writing requests to it. So a rise of the epoch since the
+    beginning of this call also shows that a stop was written.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
@@ -83,13 +85,13 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def _why(cause: Cause | None) -> str:
-    """The cause as a text. If this program has asked for the stop itself, the text does not say who asked."""
+    """The cause as a text. If this program itself has asked for the stop, the text leaves its name out."""
     own = cause and cause.named().get("pid") == os.getpid()
     return unsigned(cause) if cause and own else str(cause)
 
 
 def port_of(name: str) -> str:
-    """The path of the port that a service reports. Empty if it can't be read."""
+    """The path of the board's port, as the service reports it. Empty if it can't be read."""
     with contextlib.suppress(Exception), contextlib.closing(attach(name, layout.PORT_OWNER)) as found:
         if entry := found.latest_reader("port").read():
             return records.PORT.unpack(entry[2])[3]
@@ -97,7 +99,7 @@ def port_of(name: str) -> str:
 
 
 def owner_of(name: str) -> int | None:
-    """The uid of the user of a service. None if it can't be found out."""
+    """The uid of the user that the service runs as. None if it can't be found out."""
     with contextlib.suppress(instance.NoService, instance.InstanceError):
         return instance.current_run(instance.find(name))[1]
     return None

@@ -30,14 +30,14 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""If a command equals the one before it and comes within this time (ns), the gate is not woken for it. The gate still
-reads it at its next tick, before the earlier command expires. This saves the 0.2 to 0.4 ms of processor time that a
-wake-up costs."""
+"""If a program repeats the same command within this time (ns), the gate is not woken for the repetition. The gate still
+reads the repetition at its next tick, and the command does not expire before then. This saves the 0.2 to 0.4 ms of
+processor time that a wake-up costs."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""How long to wait for the text of an object that is given as the reason of a stop, in seconds. A later text is not
-sent."""
+"""How long to wait for an object's own text if the object is given as the reason for a stop, in seconds. If the text
+takes longer, it is not sent."""
 
 
 def runtime_dir(name: str) -> str:
@@ -53,8 +53,8 @@ def run(name: str) -> tuple[str, int]:
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
-    """Attach to a segment of the service for reading. `which`: the segment's name. `found`: the run, as run() returns
-    it; by default the one that is running. Raises NoService, FailstopError."""
+    """Attach to a segment of the service for reading. `which`: the segment's name. `found`: the run of the service, as
+    run() returns it; by default the present run. Raises NoService, FailstopError."""
     memory, owner = found or run(name)
     return _there(segments.attach, memory, which, owner=owner)
 
@@ -69,7 +69,7 @@ def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
 
 
 def unread(fd: int) -> int:
-    """How many bytes are in a pipe that its reader has not read yet. Raises OSError."""
+    """How many bytes in a pipe are still unread. Raises OSError."""
     return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
 
 
@@ -78,9 +78,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
     waits for the service. Raises NoService, FailstopError.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`. It can't check who asked, because a pipe does not
-    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object whose text needs
-    the program's own code, that text follows in a second request, unless it takes longer than OWN_WORDS_S. `row`: the
-    name of a cause in causes.SIGNED, whose remedy people are shown.
+    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with a `__str__`
+    of the program, the object's text follows in a second request. The text is dropped if `__str__` takes longer than
+    OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED. People then see the remedy for that cause.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -97,9 +97,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send an object's own text as a second request, and wait for that for at most OWN_WORDS_S. Another thread makes
-    the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is closed at the
-    end."""
+    """Send the text of the object that was given as a reason, in a second stop request. Wait at most OWN_WORDS_S until
+    it is sent. Another thread makes the text, because the object's code may never return. `fd`: a descriptor of the
+    stop pipe, which is closed at the end."""
     # Imported only here, because most reasons don't need it.
     from threading import Thread
 
@@ -113,9 +113,10 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Make the object's own text, and send it once the first request has been read. It must not be sent earlier,
-    because the service reports only the first of several requests that it reads together. A text that is ready too late
-    is dropped, because it would stop the robot again after a reset."""
+    """Make the text of the object that was given as a reason, and send it after the service has read the stop request.
+    It must not be sent earlier, because the service could then read both requests together, and it reports only the
+    first of the requests that it reads together. A text that is ready too late is dropped, because it would stop the
+    robot again after a reset."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -125,16 +126,16 @@ def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
 
 
 def gone(name: str) -> NoService:
-    """The error for a call if the service was running before and has ended."""
+    """The error for a call to a service that has ended since this program connected to it."""
     return NoService(f"the service {name!r} has ended: start it with {host.start(name)}")
 
 
 class SeenRun:
-    """The run of the service that exists when this object is made. It shows if that run has ended, and what its
-    settings declare. Not thread-safe.
+    """The run of the service at the time when this object is made. The object shows whether that run has ended, and
+    what its settings declare. Not thread-safe.
 
-    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So
-    these values do not change while the run lasts.
+    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So the
+    values in this object do not change while the run lasts.
     """
 
     def __init__(self, name: str) -> None:
@@ -147,8 +148,8 @@ class SeenRun:
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.run_record("rules")
-        """When the supervisor wrote the record with the rules (CLOCK_MONOTONIC, ns). It does this once, when the run
-        begins."""
+        """When the run began (CLOCK_MONOTONIC, ns). It is the time at which the supervisor wrote the record with the
+        rules, because it writes that record only once, at the beginning."""
 
     def __del__(self) -> None:
         if self._life >= 0:
@@ -168,8 +169,8 @@ class SeenRun:
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True if this run has ended, because its supervisor has died. This check needs only one system call, so it is
-        cheap enough for every call."""
+        """True if this run of the service has ended. A run ends when its supervisor dies. This check is cheap, because
+        it needs only one system call, so every call to the service can make it."""
         try:
             return not segments.lives(self._life)
         except OSError:  # the program has closed this descriptor; a new SeenRun opens another
@@ -177,7 +178,8 @@ class SeenRun:
             return True
 
     def silent(self, now_ns: int) -> bool:
-        """True if the supervisor has been silent for longer than its lease, so that no motion is allowed."""
+        """True if the supervisor has been silent for longer than its lease. No motion is allowed during such a
+        silence."""
         return bool(self._beat.age_ns(now_ns) > self._rules["lease_ns"])
 
     def check(self, kind: str, *names: str) -> None:
@@ -191,13 +193,13 @@ class SeenRun:
 
 
 class Client:
-    """A client slot of the service that this program holds. It is given back by close(), when this object is freed, or
+    """A client slot that this program holds in the service. It is given back by close(), when this object is freed, or
     when the process ends."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
-        """Take a client slot. `who`: the name that people see. `pid`: the pid that people see if this process speaks
-        for another program; by default its own. Raises NoService, and FailstopError (no permission, another version, or
-        all slots taken)."""
+        """Take a client slot. `who`: the name that people see. `pid`: the pid that people see. By default it is the pid
+        of this process. Pass the pid of a different program if this process drives on behalf of that program. Raises
+        NoService, and FailstopError (no permission, another version, or all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
@@ -278,7 +280,7 @@ class Client:
             raise gone(self.name) from None
 
     def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write a record of records.OF_SESSION, and return its bytes. `t_ns`: the time that the values are about
+        """Write a record of records.OF_SESSION, and return its bytes. `t_ns`: the time at which the values were true
         (CLOCK_MONOTONIC), by default now. The gate reads the record at its next tick, or with `wake` at once. Raises
         NoService, ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
@@ -291,8 +293,9 @@ class Client:
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
         """Send a velocity command to the gate, and return at once. `t_ns`: when the command was made (CLOCK_MONOTONIC),
-        by default now. The gate is not woken for a command that only repeats the last one; it reads this at its next
-        tick, which is early enough. Raises NoService, and ValueError for a source whose name is too long."""
+        by default now. If the command only repeats the previous command, the gate is not woken, because it is early
+        enough if the gate reads the repetition at its next tick. Raises NoService, and ValueError for a source whose
+        name is too long."""
         command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
@@ -306,9 +309,10 @@ class Client:
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """The answer to the request with this number. None until the answer comes. Once it has come, the state shows
-        what the request has changed. If another thread has made a later request which was answered meanwhile, the
-        answer to this one is lost, and a refusal is returned instead."""
+        """The answer to the request with this number. None until the answer comes. From then on, the service's state
+        shows what the request has changed. The service keeps only its newest answer to this client. So if it has
+        already answered a later request of another thread, the answer to this request is lost, and a refusal is
+        returned instead."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -317,8 +321,9 @@ class Client:
         return None
 
     def close(self, *, in_order: bool = True) -> None:
-        """Give the slot back, so that the last command of this client no longer counts. `in_order`: True for a normal
-        end; the client then says goodbye, so that the gate does not take the end for a crash."""
+        """Give the slot back, so that the last command of this client no longer counts. `in_order`: True if the client
+        ends normally. It then says goodbye. Without a goodbye, the gate would treat the end of the client as a
+        crash."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
@@ -342,9 +347,10 @@ def _give_back(
     owner: int,
     files: list[tuple[int, int]],
 ) -> None:
-    """Give a slot back, so that the last command in it no longer counts. It writes nothing in a forked child, where the
-    slot still belongs to the parent `owner`. It also writes nothing if the program has closed the descriptors, because
-    then other files may have their numbers. `files`: what _files() returned for these descriptors."""
+    """Give a slot back, so that the last command in the slot no longer counts. In a forked child this function writes
+    nothing, because the slot still belongs to the parent process `owner`. It also writes nothing if the program has
+    closed the slot's descriptors, because their numbers may now belong to other files. `files`: what _files() returned
+    for these descriptors."""
     if os.getpid() == owner:
         if _files(held.fileno(), ring) == files:
             # Write the goodbye, because another process may take the slot before the gate has seen it free.

@@ -1,5 +1,5 @@
-"""Stopping distance: how far the robot still goes after a fault until it is at rest. It is computed from the settings,
-for level ground."""
+"""Stopping distance: how far the robot moves between a fault and the moment when it is at rest. It is computed from the
+settings, for level ground."""
 
 from __future__ import annotations
 
@@ -13,33 +13,36 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""How long it takes from the death of a process until the board gets the stop, in seconds. On a quiet machine this is
-about 1 ms. On the shared machine of docs/reference/faults.md, every p99 is lower than this. It is for Hiwonder's board;
-for other boards see OWN_LINE_S."""
+"""How long it takes from the death of a process until the board gets the stop, in seconds. On a quiet machine it takes
+about 1 ms. On the shared machine of docs/reference/faults.md, the p99 of every measurement is shorter than DEATH_S.
+DEATH_S is for Hiwonder's board. For any other board, OWN_LINE_S is added."""
 SLACK_S = 0.015
-"""How long it takes from the end of a deadline to the stop, in seconds, by the same measurements as DEATH_S."""
+"""If a process is silent for longer than its deadline, how long it takes from the deadline to the stop, in seconds. The
+value comes from the same measurements as DEATH_S."""
 SILENCE_S = 0.02
-"""How long it takes from the end of a timeout until any board gets zero, in seconds. The gate acts when the timeout
-ends, or for an interlock one period later."""
+"""How long it takes from the end of a timeout until the board gets a speed of zero, in seconds, whatever kind of board
+it is. The gate acts when the timeout ends. For an interlock it acts one period later."""
 OWN_LINE_S = 0.012
-"""How much later than Hiwonder's board another board gets a stop, in seconds. Its line or its loop may be slower, or
-the stop may have to be repeated. A USB adapter that removes the gaps between frames adds 0.02 (docs/boards.md)."""
+"""How much later any other board gets a stop than Hiwonder's board, in seconds. The other board's serial line or its
+loop may be slower, or the stop may have to be repeated for that board. A USB adapter that removes the gaps between
+frames adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
-"""The text in which every screen shows the longest stopping distance."""
+"""Every screen shows the longest stopping distance with this text."""
 Reaction = tuple[float, str]
-"""One fault that failstop can detect, as a pair. The first value is how long after the fault the wheels are still
-commanded to turn, in s. The second is the fault in words."""
+"""One fault that failstop can detect, as a pair. The first value is the reaction time in s: the wheels are still
+commanded to turn for this long after the fault. The second value is the fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """How far the base goes, in m, if it keeps this speed for this time and then brakes until it is at rest."""
+    """How far the base moves, in m, if it keeps the speed `speed_mps` for `seconds` and then brakes until it is at
+    rest."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
 def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
-    """The speed with which the base stops within `distance` (m), if it keeps the speed for `seconds` and then brakes.
-    This is the inverse of distance_m()."""
+    """The highest speed from which the base can stop within `distance` (m), if it keeps that speed for `seconds` and
+    then brakes. This is the inverse of distance_m()."""
     return braking_mps2 * (math.sqrt(seconds**2 + 2 * distance / braking_mps2) - seconds)
 
 
@@ -69,8 +72,8 @@ def reactions(settings: Settings) -> Iterator[Reaction]:
 
 
 def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:
-    """The longest stopping distance in m, and the fault that causes it. `share`: the share of the speeds in the
-    settings."""
+    """The longest stopping distance in m, and the fault that causes it. `share`: the speed limit, as a share of the
+    speeds in the settings."""
     latest = max(reactions(settings))
     return distance_m(share * fastest_mps(settings), latest[0], settings[BRAKING]), latest
 

@@ -1,4 +1,5 @@
-"""The errors that failstop's calls raise. Each has the exit code of a command that fails with it."""
+"""The errors that failstop's calls raise. Each class of error has an exit code. If a failstop command fails with an
+error, it ends with the exit code of that error's class."""
 
 from __future__ import annotations
 
@@ -30,9 +31,10 @@ class Refused(FailstopError):
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """The cause of the stop that is the reason for the refusal. None if there was another reason."""
+        """The cause of a stop, if that stop is the reason why the request was refused. None if the reason is not a
+        stop."""
         self.step = step
-        """The next step, with commands in backquotes. Empty if there is nothing to add to the reason."""
+        """The next step, with commands in backquotes. Empty if no step is known."""
 
     @property
     def reason(self) -> str:
@@ -51,7 +53,8 @@ class NoService(FailstopError):
 
 
 class Undeclared(FailstopError, ValueError):
-    """The settings of the service do not declare this source or interlock, or clients may not use it."""
+    """The program has named a source or an interlock that the settings of the service do not declare, or that clients
+    may not use."""
 
 
 class TimedOut(FailstopError, TimeoutError):

@@ -30,20 +30,20 @@ class Event:
     """The number of the event, counted from 1 in each run of the service. A gap in the numbers means that events were
     overwritten before they were read."""
     t: float
-    """When it happened (Unix time, s)."""
+    """When the event happened (Unix time, s)."""
     ns: int
-    """When it happened (CLOCK_MONOTONIC, ns)."""
+    """When the event happened (CLOCK_MONOTONIC, ns)."""
     kind: str
     """The kind of the event, for example stop, enabled or died (docs/logs.md)."""
     level: str
-    """How important it is: info, notice, warning, error or critical."""
+    """How important the event is: info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal. It is cut at 280 bytes, or at 200 or 120 if the fields need the
-    room."""
+    """One line for people, the same as in the journal. It is cut at 280 bytes. If `fields` is long, so that the event
+    would not fit into its entry, the text is cut at 200 or 120 bytes."""
     fields: dict[str, str | int | float]
-    """More values, which depend on the kind of the event."""
+    """The event's values for programs. Each kind of event has different values (docs/logs.md)."""
     next: str = ""
-    """The next step for people, which is also the end of `text`. Empty if there is none."""
+    """The next step for people. `text` ends with this step too. Empty if the event asks for no step."""
 
     @property
     def what(self) -> str:
@@ -84,8 +84,8 @@ class EventLog:
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:
-    """Read an event from an entry of the service's ring. None if that is not possible, for example because another
-    version of failstop has written it."""
+    """Read an event from an entry of the service's ring. None if the entry can't be read, for example because a
+    different version of failstop has written it."""
     try:
         found = msgpack.unpackb(payload)
         text, what = found["text"], found.get("what")

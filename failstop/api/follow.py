@@ -22,14 +22,15 @@ class Follower:
     """Reads the state and the events of a service. If the service is restarted, it goes on with the new run."""
 
     def __init__(self, name: str) -> None:
-        """Raises NoService if no service is running when this object is made, and FailstopError."""
+        """Raises NoService if no service is running, and FailstopError if it can't be read."""
         from failstop.api.robot import Robot  # takes 8 ms, and `failstop status` doesn't need it
 
         self.name = name
         self.note = ""
-        """The reason why the last read() found no state. Empty before that."""
+        """The reason why read() could not find a state the last time that it failed. Empty until read() fails for the
+        first time."""
         self.events: list[Event] = []
-        """The last events of this run, the oldest first."""
+        """The newest events of the service's present run, at most 256, the oldest first."""
         self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
@@ -56,7 +57,8 @@ class Follower:
 
 
 class Vibration:
-    """Computes how strongly the robot vibrates, from the gyro's x and y. Turning wheels shake the gyro."""
+    """Computes how strongly the robot vibrates, from the gyro's x and y. This shows if the wheels turn, because turning
+    wheels shake the gyro."""
 
     def __init__(self) -> None:
         self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)

@@ -19,12 +19,13 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex that a thread of its own holds, so any thread of the program can release it. The thread ends when this
-    object is freed, even if a signal handler raises an exception at that moment. So no thread is left behind."""
+    """A futex that an extra thread holds. It is held by an extra thread so that any thread of the program can have it
+    released, with let_go(). The extra thread ends when this object is freed, even if a signal handler raises an
+    exception while the object is being freed. So no thread is left behind."""
 
     def __init__(self, word: Futex) -> None:
-        """Returns when the thread holds the futex. Raises RuntimeError if no thread can be started, and OSError if no
-        descriptor is left."""
+        """Starts the extra thread, and returns when that thread holds the futex. Raises RuntimeError if no thread can
+        be started, and OSError if no descriptor is left."""
         self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
@@ -45,7 +46,8 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the thread. Before this call, the caller must clear the word of the futex."""
+        """End the extra thread, which releases the futex. Before this call, the caller must clear the word of the
+        futex."""
         self._ends.put(None)
 
 

@@ -1,5 +1,5 @@
-"""Host: the commands that start or stop a service on this computer. A service is started in the same way as the last
-time, or else by systemd if the unit is installed."""
+"""Host: the commands that start or stop a service on this computer. If it is known how the service was started the last
+time, it is started in that way again. If not, systemd starts it, provided that the unit is installed."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
-"""This folder exists if systemd runs the computer (sd_booted(3))."""
+"""This folder exists if the computer was booted with systemd (sd_booted(3))."""
 FOLDERS = ("/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system")
 """The folders in which systemd looks for units (systemd.unit(5))."""
 DEVICE = str(BY_KEY["device.path"].default)
 
 
 def unit(name: str) -> str:
-    """The systemd unit of the service with this name. Empty if systemd does not run here, or the unit is not
-    installed."""
+    """The systemd unit of the service with this name. Empty if this computer was not booted with systemd, or if the
+    unit is not installed."""
     found = unit_of(name)
     file = found.replace(f"@{name}.", "@.")
     there = any(os.path.exists(root.at(f"{folder}/{file}")) for folder in FOLDERS)
@@ -26,21 +26,21 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """The command that starts the service, in backquotes. If the service was running before, it is started in the same
-    way."""
+    """The command that starts the service, as text in backquotes. If it is known how the service was started the last
+    time, the command starts it in that way again."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
-    """The command that writes a stop when no service is running, in backquotes."""
+    """The command, as text in backquotes, with which a person can stop the board when no service is running."""
     import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:
-    """The command that shows the service's events in the journal, in backquotes. Empty if the journal does not have
-    them."""
+    """The command, as text in backquotes, that shows the service's events in the journal. Empty if the journal does not
+    have these events."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

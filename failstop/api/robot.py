@@ -1,5 +1,5 @@
-"""Robot and AsyncRobot: drive and stop a robot from Python. A call that takes time waits in Robot, and is awaited in
-AsyncRobot. All other calls are the same in both. For example:
+"""Robot and AsyncRobot: drive and stop a robot from Python. In Robot, a call that takes time blocks until it is done.
+In AsyncRobot, you await such a call. All other calls are the same in both. For example:
 
     match robot.drive(0.2, 0.0, 0.0):
         case Preempted(by=who): print(who, "drives")
@@ -35,22 +35,22 @@ MOST_OF_A_NAME = 64
 
 @dataclasses.dataclass(frozen=True)
 class Driving:
-    """The result of drive() if this command moves the wheels."""
+    """The result of drive() if the command that you sent moves the wheels."""
 
     velocity: Velocity
-    """The velocity that the gate commands at present. It approaches the requested velocity along the ramp, within the
-    limits."""
+    """The velocity that the gate commands at present. It does not jump to the requested velocity, but approaches it
+    along the ramp, and stays within the limits."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
-    """The result of drive() if a source with a higher priority drives, so this command moves nothing. The command is
-    not kept for later, so go on commanding."""
+    """The result of drive() if a source with a higher priority drives. The command that you sent then moves nothing. It
+    is not kept for later either, so keep sending commands."""
 
     by: str
-    """The program that drives instead, with its name and pid."""
+    """The name and pid of the program that drives."""
     source: str
-    """The source that this program commands as."""
+    """The source with the higher priority: the name of the source that the driving program uses."""
 
     def __bool__(self) -> bool:
         return False
@@ -61,9 +61,9 @@ class Blocked:
     """The result of drive() if the wheels are stopped."""
 
     block: Block
-    """Why the wheels are stopped. NO_COMMAND means that the gate did not get this command in time."""
+    """Why the wheels are stopped. NO_COMMAND means that the gate did not get the command in time."""
     why: str
-    """The same reason in words. For a latched stop it is the text of the cause."""
+    """Why the wheels are stopped, in words. If a stop is latched, this is the text of its cause."""
 
     def __bool__(self) -> bool:
         return False
@@ -74,8 +74,9 @@ Answer = Driving | Preempted | Blocked
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """The answer to a command, and True if it is final. `decided`: the gate's last decision. The answer is not final if
-    the gate may not have seen the newest command yet, and that command could change the answer. Pure."""
+    """Return a pair: the answer to a command, and True if that answer is final. `decided`: the gate's last decision.
+    The gate may have made that decision before it saw the newest command. If the newest command could change the
+    answer, the answer is not final. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -93,7 +94,7 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 
 
 class Calls(Session):
-    """The calls that never wait. Robot and AsyncRobot both have them."""
+    """The methods that never wait. Robot and AsyncRobot both inherit them."""
 
     def _command(
         self, vx: float, vy: float, wz: float, *, manual: bool, source: str, proven_ns: int | None = None
@@ -114,27 +115,27 @@ class Calls(Session):
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """The answer to this source's command, judging by the gate's last decision, and True if it is final; see
-        judge()."""
+        """Return what judge() returns: the answer to the command of this source, and True if that answer is final. It
+        comes from the gate's last decision."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
         """Report that the obstacle sensor has just delivered a reading. Commands of programs move the wheels only while
-        this is called at least every 0.5 s (setting scan.timeout_s). Otherwise they are blocked with `no scan`. Raises
-        NoService."""
+        a program calls sensed() at least every 0.5 s (setting scan.timeout_s). Otherwise the wheels are blocked with
+        `no scan`. Raises NoService."""
         with self._lock:
             self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Report that these interlocks hold at this moment. Repeat this within their timeouts. The names are those in
-        the settings' [interlocks]. Motion can be enabled only while all interlocks in the settings hold. If one no
-        longer holds, motion is disabled. Name all interlocks of this program in each call, because an interlock that is
-        missing counts as lost after its timeout.
+        """Report that these interlocks hold at this moment. Call this again before the timeout of any of them ends.
+        Each name must be in the settings, as [interlocks.NAME]. Motion can be enabled only while all interlocks in the
+        settings hold. If an interlock no longer holds, motion is disabled. Name every interlock that your program
+        reports in every call. If a call leaves out an interlock, that interlock counts as lost after its timeout.
 
-        Raises Undeclared if the settings do not name one of these interlocks, and then reports none. Raises NoService
-        when no service is running.
+        Raises Undeclared if one of these interlocks is not in the settings. In that case, none of the interlocks is
+        reported. Raises NoService when no service is running.
         """
         with self._lock:
             run = self._current()
@@ -149,9 +150,9 @@ class Calls(Session):
 
         The operator counts as present now, or at `proven_ns` (CLOCK_MONOTONIC, ns). For example, if the operator
         answers a question of your program, pass the time at which it was asked. An operator who was not reported for
-        attend.lease_s (1 s) counts as gone. That latches a stop, unless another operator is present. The same happens
-        after leave() and at the end of this program. A Robot reports one operator at a time; if you pass another name,
-        the first operator counts as gone. Raises NoService.
+        attend.lease_s (1 s) counts as gone. When the last operator is gone, a stop is latched. An operator is also gone
+        after leave() and when your program ends. A Robot reports only one operator at a time, so if you pass a new
+        name, the previous operator counts as gone. Raises NoService.
         """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
@@ -167,18 +168,19 @@ class Calls(Session):
     def say(self, sees: str, wrong: str = "") -> None:
         """Tell people in one line what this program sees, and in another line what is wrong, if anything is. `failstop
         status`, `failstop why`, `failstop doctor` and the events show the newest lines with the program's name. Each
-        can have 190 bytes. Repeat this every few seconds, because old lines are shown with their age."""
+        line can have 190 bytes. Call this again every few seconds, because people see the age of old lines."""
         with self._lock:
             self._client().write("said", sees, wrong)
 
     def estop(self, reason: object = "") -> None:
         """Latch a protective stop. This is a stop by software (category 2), not an emergency stop in the sense of ISO
-        13850. Motion stays off until reset() and enable(). It needs no permission, and works with a service of any
-        version and even on a closed Robot. Raises NoService if no service is running.
+        13850. Motion stays off until reset() and enable(). Calling estop() needs no permission. It works with a service
+        of any version, and even on a closed Robot. Raises NoService if no service is running.
 
-        People see `stop request: REASON (says it is CLIENT, pid N)`, because anyone may ask for a stop under any name.
-        A reason longer than 180 bytes is cut. The reason may be any object, such as an exception. The stop never waits
-        for its `__str__`; the object's own text follows in the events.
+        People see `stop request: REASON (says it is CLIENT, pid N)`. This text only repeats the name that the program
+        claims to have, because anyone may ask for a stop under any name. A reason longer than 180 bytes is cut. The
+        reason may be any object, such as an exception. The stop never waits for the `__str__` of such an object. The
+        object's text comes later, in the events.
         """
         send_stop(self.name, reason, self.client_name)
 
@@ -191,17 +193,18 @@ class Calls(Session):
         return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
-        """Explain why the wheels are stopped, what proves it, and what to do. str() of the result has the three lines
-        that `failstop why` prints. Raises NoService, FailstopError."""
+        """Explain why the wheels are stopped, what proves that they are stopped, and what to do. str() of the result
+        has the three lines that `failstop why` prints. Raises NoService, FailstopError."""
         from failstop.api.why import explain  # imported only here, because driving does not need it
 
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
         """The board's reports since the last call, as Imu, Pad and Odometry samples with their times. Each sample is
-        returned once. The state has only the newest sample of each type. The first call starts the collection, and so
-        does the first call after a restart of the service. Samples that came in the same read have the same time.
-        Raises NoService, FailstopError."""
+        returned only once. (Robot.state has only the newest sample of each type.) The collection starts with the first
+        call, so the first call returns no older samples. If the service restarts, the collection starts again with the
+        next call. Telemetry often reads several samples from the port together, and these have the same time. Raises
+        NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 
@@ -214,8 +217,8 @@ class Calls(Session):
 
 class AsyncRobot(Calls):
     """A robot for asyncio, from `Robot.connect()`. It is an asynchronous context manager, and belongs to one event
-    loop. Only enable, disable, reset, limit_speed and wait_for are awaited. Calls that are not listed here are the same
-    as in Robot."""
+    loop. Only enable, disable, reset, limit_speed and wait_for are awaited. AsyncRobot has every method of Robot. A
+    method that is not documented under AsyncRobot works as it does in Robot."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -231,8 +234,8 @@ class AsyncRobot(Calls):
             self._end(in_order=in_order)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
-        """Like Robot.drive, but it never waits. The answer comes from the gate's last decision, so it may be about the
-        command before this one."""
+        """Like Robot.drive, but it never waits. The answer comes from the gate's last decision, so it may still be
+        about your previous command."""
         self._command(vx, vy, wz, manual=manual, source=source)
         return self._judged(source)[0]
 
@@ -270,28 +273,31 @@ class AsyncRobot(Calls):
         return await _through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """Like Robot.events, for `async for event in robot.events()`. It yields every event since this call, even if a
-        task begins to iterate later. Raises NoService when the service ends."""
+        """Like Robot.events, but you iterate with `async for event in robot.events()`. It yields every event since the
+        call to events(), even if a task begins to iterate later. Raises NoService when the service ends."""
         return _follow(EventLog(self.name, past=past))
 
 
 class Robot(Calls):
-    """A connection to the running service with this name. It is a context manager.
+    """A connection to the running service whose name is `name`. A Robot is a context manager.
 
     Reading the state and estop() need no permission. For all other calls the Robot takes one of the service's client
-    slots when the first such call is made. That needs the group `failstop` (or the service's user).
+    slots when the first such call is made. To take a slot, the program's user must be in the group `failstop`, or be
+    the service's user.
 
-    If the service is restarted, the next call notices it and uses the new run, in which motion is not enabled. While no
-    service is running, every call raises NoService. After close(), every call except estop() raises FailstopError, in
-    every thread. A Robot that is freed gives its slot back. In a forked child, the Robot takes a slot of its own.
+    If the service is restarted, the next call uses the new run of the service. Motion is not enabled in a new run.
+    While no service is running, every call raises NoService. After close(), every call except estop() raises
+    FailstopError, in every thread. A Robot that is freed gives its slot back. In a forked child, the Robot takes a slot
+    of its own.
 
     Several threads may use one Robot. For the service it is one client, so the newest drive() counts, whichever thread
-    has called it. A Robot with a slot has a thread that only sleeps. When the program dies, the end of that thread
-    tells the gate at once, however long the kernel takes to free the program's memory.
+    has called it. A Robot that holds a slot starts a thread that only sleeps. The gate notices the end of that thread
+    at once when the program dies, however long the kernel takes to free the program's memory.
     """
 
     connect = AsyncRobot
-    """A Robot for asyncio: `async with Robot.connect() as robot`. Calls that take time are awaited there."""
+    """A Robot for asyncio: `async with Robot.connect() as robot`. In an AsyncRobot, calls that take time are
+    awaited."""
 
     def __enter__(self) -> Robot:
         self._check_open()
@@ -311,19 +317,20 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. The command is valid for its source's
-        timeout (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. The command is valid only for the timeout
+        of its source (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
         clamped. After a restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. While
-        the wheels turn, the call does not wait, and the answer may be about the command before this one. Otherwise it
-        waits until the gate has read this command, but no longer than `wait_s`. That takes 0.3 ms on an idle machine.
-        If the time is over, or `wait_s` is 0, the answer may be about the command before.
+        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
+        returns at once while this source drives, so Driving may still be about your previous command. It also returns
+        at once while a stop is latched or motion is disabled. In every other case, drive() waits because this command
+        may change the answer. It waits until the gate lets this source drive (0.3 ms on an idle machine), but at most
+        for `wait_s`. If `wait_s` is very short, the answer may still be about your previous command.
 
-        A command may have been delayed on its way to you, for example by a network. Then pass `proven_ns`
-        (CLOCK_MONOTONIC, ns), the newest moment at which you know that the command was wanted; its timeout counts from
-        then. With `manual`, a person drives, and the command works without an obstacle sensor. `source` is a name from
-        the settings' [sources].
+        If you pass on commands that may be delayed, for example by a network, pass `proven_ns` (CLOCK_MONOTONIC, ns)
+        too. It is the latest moment for which you know that the command was wanted. The timeout of the command counts
+        from that moment. Pass manual=True if a person drives; the command then works even without an obstacle sensor.
+        `source` is a name from the settings' [sources].
 
         Raises ValueError for a value that is not finite, Undeclared (also a ValueError) for a source that the settings
         do not name, NoService when no service is running.
@@ -346,14 +353,15 @@ class Robot(Calls):
         proven_ns: int | None = None,
     ) -> Answer:
         """Command the speed of each wheel, rad/s, positive forward. The wheels are in the order of
-        `state.wheels_radps.names`. A steered base has two rear wheels, whose speeds set how fast it goes and turns. If
-        you also pass `steering_rad` (positive to the left), the mean of their speeds sets how fast it goes, and the
-        angle sets how it turns.
+        `state.wheels_radps.names`. For a steered base, pass the speeds of the rear wheels. These speeds then set how
+        fast the base goes and how it turns. If you also pass `steering_rad` (positive to the left), the mean of the
+        wheel speeds sets how fast the base goes, and the angle sets how it turns.
 
-        This computes the velocity of a base whose wheels turn like this, from the sizes in the settings, and calls
-        drive() with it. So all limits, ramps, sources and results are those of drive(). A limit slows all wheels in the
-        same proportion. Four mecanum wheels get the closest speeds that they can roll without slip. Raises what drive()
-        raises, and ValueError for another number of wheels, or for an angle on a base without steering.
+        drive_wheels() uses the sizes in the settings to compute the velocity of the base at these wheel speeds. It then
+        calls drive() with that velocity, so all limits, ramps, sources and results are those of drive(). A limit slows
+        all wheels in the same proportion. Four mecanum wheels get the closest speeds that they can roll without slip.
+        Raises what drive() raises. Also raises ValueError if the number of speeds is not the robot's number of wheels,
+        or if you pass an angle for a base without steering.
         """
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
@@ -364,7 +372,8 @@ class Robot(Calls):
 
         If the robot has an arm, the arm first moves to its drive pose, which takes seconds. `progress` is called with
         each text about this move. arm.hold(), disable() or a stop ends the move. Raises Refused with the reason: a stop
-        is latched, the service is not ready, an interlock does not hold, or the request was made before the last stop.
+        is latched, the service is not ready, an interlock does not hold, or the robot was stopped after this call was
+        made.
         """
         return sleep_through(self._asking(records.ENABLE, progress))
 
@@ -374,23 +383,23 @@ class Robot(Calls):
 
     def reset(self, *, seen: int | None = None) -> str:
         """Clear the latched stop. Motion stays disabled until enable(). If nothing is latched, this changes nothing.
-        Raises Refused if another stop came after this call was made.
+        Raises Refused if the robot was stopped again after this call was made.
 
-        If a person has looked at a State and decided to reset, pass its `epoch` as `seen`. Then Refused is also raised
-        if another stop came after that State.
+        If a person looks at a State and then decides to reset, pass the `epoch` of that State as `seen`. Then Refused
+        is also raised if the robot was stopped again after that State.
         """
         return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
-        """Limit all drivers to this share of the speeds in the settings. `share` is a number from 0.05 to 1, not a
-        speed in m/s. It takes effect at once, along the ramps, and holds until another limit is set or the service
-        ends. Raises Refused, ValueError."""
+        """Limit the speed of all drivers. `share` is a number from 0.05 to 1, for example 0.5 for half of the speeds in
+        the settings. The limit takes effect at once, but the wheels slow down along the ramps. It holds until somebody
+        sets a new limit or the service ends. Raises Refused, ValueError."""
         return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """Wait for a state, and return it. `what` is a word such as "enabled" (docs/python.md lists them), or a
-        function that returns True for the wanted State. This also waits while no service is running. Raises TimedOut,
-        which says what the state is and what to do, and ValueError for an unknown word."""
+        function that returns True for the wanted State. wait_for() keeps waiting even while no service is running.
+        Raises TimedOut, which says what the state is and what to do, and ValueError for an unknown word."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
@@ -401,7 +410,8 @@ class Robot(Calls):
 
 
 async def _through(steps: Steps[T]) -> T:
-    """Run a call in steps like session.sleep_through(), but let the event loop go on between the steps."""
+    """Run a call that is a generator of steps, and return its result. While session.sleep_through() blocks the thread
+    between two steps, this function lets the event loop go on."""
     import asyncio  # imported only here, because it takes as long to import as everything else in this module
 
     try:

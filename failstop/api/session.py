@@ -1,7 +1,7 @@
 """Session: a program's connection to one service, with the client slot and the requests.
 
-A call that takes time is a generator of steps. The caller sleeps between two steps. In Robot the thread sleeps, and in
-AsyncRobot only the task.
+A call that takes time is written as a generator. It yields each time when it has to wait. Robot then lets the whole
+thread sleep, but AsyncRobot lets only the task sleep.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""A call that is made in steps. It yields how long to sleep before the next step, in seconds."""
+"""A call that takes time, as a generator. Each time when it has to wait, it yields for how many seconds."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """The words that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched),
@@ -44,13 +44,15 @@ POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """How long to sleep before looking again, in seconds. `begun_s`: when the wait began (time.monotonic()). The pauses
-    get longer, because an answer that does not come at once takes long."""
+    """How long to sleep before checking again for an answer, in seconds. `begun_s`: when the wait began
+    (time.monotonic()). The pauses get longer, because an answer that has not come after a few checks usually takes much
+    longer."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
 def _ready(state: State) -> bool:
-    """True if every process is running, and enable() would succeed, or reset() if a stop is latched."""
+    """True if every process is running and the next request would succeed. The next request is reset() if a stop is
+    latched, and otherwise enable()."""
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
         return False
     if state.cause:
@@ -72,7 +74,7 @@ assert _CHECKS.keys() == set(get_args(Word))
 
 
 DISABLE_FIRST = "`failstop disable`, or robot.disable(), because the arm moves only while motion is disabled"
-"""The next step if a request was refused because the wheels may turn."""
+"""The next step for people if a request about the arm was refused because the wheels may turn."""
 
 
 def own_name() -> str:
@@ -94,13 +96,13 @@ class Session:
         disable_on_exit: bool = True,
     ) -> None:
         """Connect to the service `name`. `client` is the name under which others see this program; by default it is the
-        program's file name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: if this
-        Robot has enabled motion, it disables motion at its end, that is, when `with` is left or in close(). With False,
-        motion stays enabled for other programs.
+        program's file name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: True to
+        disable motion when this Robot is closed or its `with` block ends, but only if this Robot has enabled motion.
+        With False, motion stays enabled for other programs.
 
-        Raises NoService when no service is running, FailstopError for an invalid name. If something else prevents
-        driving or reading the state, for example a service of another version, the calls for that raise the error. So
-        estop() always works.
+        Raises NoService when no service is running, FailstopError for an invalid name. Any other error, for example
+        that the service has a different version, is raised only later, by the calls that drive or read the state. So
+        you can always make a Robot and call estop().
         """
         self.name = name
         self.client_name = client or own_name()
@@ -111,8 +113,9 @@ class Session:
         self._enabled = False
         """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """The request that the gate has not answered yet, as a pair. It has the thread that has made the request, and
-        an object that stands for the task if a task of an event loop waits for the answer."""
+        """Which thread or task waits for the gate's answer to a request, as a pair. First comes the thread's id. Then
+        comes an object for the task if a task of an event loop waits, or None if the whole thread waits. There is no
+        pair if nobody waits."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -122,7 +125,7 @@ class Session:
 
     def close(self) -> None:
         """Give the client slot back for good. If this program was driving, the wheels stop at once. If this Robot has
-        enabled motion, motion is disabled (unless `disable_on_exit` is False). After that, no command of this Robot
+        enabled motion, motion is disabled (unless `disable_on_exit` is False). After close(), no command of this Robot
         reaches the service."""
         self._close(in_order=True)
 
@@ -136,9 +139,9 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot must disable motion when it ends, because it has enabled motion. If a driver dies, the
-        gate normally disables motion itself and reports which driver has died, so the Robot need not. Raises
-        FailstopError."""
+        """True if this Robot must disable motion when it ends, because it has enabled motion. If this program was
+        driving and now dies of an exception, the Robot need not disable motion, because the gate normally does that and
+        reports which driver has died. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -161,8 +164,8 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The service's present run. If the run has ended, its state can still be read until its last processes have
-        ended too. Raises NoService, FailstopError."""
+        """The service's present run. If the run has ended because its supervisor died, the state of that run can still
+        be read until its other processes have ended. Raises NoService, FailstopError."""
         self._check_open()
         run = self._run  # kept in a variable, because a signal handler may close this object meanwhile
         if run is None or run.over():
@@ -195,7 +198,8 @@ class Session:
     @property
     def state(self) -> State:
         """The state of the service at this moment. If its supervisor has just died, the state shows that as a latched
-        stop. Raises NoService once the last process of the service has ended, FailstopError."""
+        stop. Raises NoService once the last process of the service has ended. Raises FailstopError if the state can't
+        be read."""
         with self._lock:
             return self._current().read()
 
@@ -220,11 +224,11 @@ class Session:
         sent one after the other. A request that takes long, such as a move of the arm, lets other requests pass, so
         that one of them can end it.
 
-        `progress` is called with each text about the progress. `about`: a record that belongs to the request, followed
-        by its values. `asked_ns`: when the request was made, by default now. The gate needs this, because a stop may
-        come while the request waits for others, and the caller does not know about that stop. `awaited`: True if a task
-        of an event loop waits; False if a whole thread waits, with all its tasks. Raises Refused, NoAnswer, NoService,
-        FailstopError.
+        `progress` is called with each text about the progress. `about`: the name of a record that must be written
+        before the request, and then the values of that record. `asked_ns`: when the request was made, by default now.
+        If a stop comes while this request waits for its turn, the gate refuses the request, because the caller did not
+        know about that stop. `awaited`: True if only a task of an event loop waits; False if the whole thread waits,
+        with all tasks in it. Raises Refused, NoAnswer, NoService, FailstopError.
         """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
@@ -258,8 +262,8 @@ class Session:
             self._pass(turn)
 
     def _unanswered(self) -> NoAnswer:
-        """The error if the gate did not answer a request in time. If the gate is down, the message says so, and until
-        when."""
+        """The error if the gate did not answer a request in time. If the gate is down, the message says so, and says
+        when the gate will start again."""
         why = ""
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
@@ -267,8 +271,8 @@ class Session:
         return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error if the gate refused a request, with the next step. If it was refused because of a latched stop, the
-        next step is what must be done before motion can be enabled."""
+        """The error if the gate refused a request, with the next step. If a latched stop is the reason for the refusal,
+        the next step is what people must do before motion can be enabled."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
@@ -279,9 +283,10 @@ class Session:
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """Send a request. Returns its client, its run and its number. Returns None if another thread or task has made a
-        request that is not answered yet. A signal handler does not wait for the request of the code that it has
-        interrupted. A thread does not wait for the requests of its own tasks."""
+        """Send a request. Returns the client, the run and the request's number. Returns None if this request must wait,
+        because a different thread or task waits for an answer. A signal handler's request need not wait for the code
+        that the handler has interrupted, because that code can't go on. For the same reason, a request that blocks its
+        whole thread need not wait for the tasks in that thread."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending
@@ -296,7 +301,7 @@ class Session:
             return client, run, client.ask(verb, asked_ns)
 
     def _pass(self, turn: tuple[int, object]) -> None:
-        """Let the next request be sent."""
+        """Let another thread or task send its request. `turn`: the thread or task whose turn is over."""
         with self._lock:
             if self._pending == turn:
                 self._pending = None
@@ -328,7 +333,8 @@ class Session:
 
 
 def sleep_through(steps: Steps[T]) -> T:
-    """Run a call in steps, and sleep between the steps. Returns its result, and raises what it raises."""
+    """Run a call that is a generator of steps, and sleep as long as each step asks for. Returns the result of the call,
+    and raises the errors that the call raises."""
     try:
         while True:
             time.sleep(next(steps))

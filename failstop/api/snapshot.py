@@ -17,19 +17,21 @@ PadMode = Literal["locked", "drive", "joint"]
 
 
 class Block(enum.Enum):
-    """Why the wheels may not turn. If several reasons apply, the state has the first one in this order."""
+    """Why the wheels may not turn. If several reasons apply, `State.block` is the one that comes first in this
+    class."""
 
     LATCHED = "latched"
     """A stop is latched (`State.cause`). It needs a reset."""
     DISABLED = "disabled"
-    """Motion has not been enabled since the start, the last stop or the last disable."""
+    """Motion is disabled. It is disabled after every start of the service, after every stop, and whenever somebody
+    disables it."""
     HELD = "let go first"
-    """The source has commanded a velocity since before motion was enabled. Its commands count only after it has sent
-    zero or paused."""
+    """A source was already commanding a velocity when motion was enabled, and has not paused since. To be safe, its
+    commands count only after it has sent zero or paused. For example, somebody must let go of the stick first."""
     NO_COMMAND = "no command"
     """No source has sent a command recently, so every command has expired."""
     NO_SCAN = "no scan"
-    """The obstacle sensor is silent. Without it only a person may drive."""
+    """The obstacle sensor is silent. While it is silent, only a person may drive."""
 
     @classmethod
     def of(cls, text: str | None) -> Block | None:
@@ -76,25 +78,27 @@ class Turning:
     """What is known about the wheels at present, from the board's reports or from the IMU."""
 
     does: Literal["unknown", "still", "turning"] = "unknown"
-    """What the wheels do: turning, still, or unknown. It is unknown if nothing was read yet, or nothing in the last
-    half second."""
+    """What the wheels do: turning, still, or unknown. It is unknown if there was no reading yet, or if the newest
+    reading is more than half a second old."""
     by: Literal["", "IMU", "wheels"] = ""
-    """What has observed the wheels: `wheels` for the board's reports about them, or `IMU`. The IMU only feels that the
-    robot moves or is moved."""
+    """What has observed the wheels: `wheels` for the board's reports about them, or `IMU`. An IMU can't see the wheels.
+    It only feels that the robot moves, or that somebody moves it."""
     unexpected: bool = False
-    """True if the wheels turn although zero has been commanded for longer than the setting still.after_s allows."""
+    """True if the wheels turn although they should have come to rest by now. They have the time still.after_s (a
+    setting) to come to rest after zero was commanded."""
     since_s: float | None = None
-    """How long the wheels have been doing this, in s. None if not known."""
+    """For how long the wheels have been turning or still, as `does` says, in s. None if not known."""
     age_s: float | None = None
     """The age of the newest reading, in s. None if there was no reading."""
     last: Literal["unknown", "still", "turning"] = "unknown"
     """What the newest reading showed, however old it is."""
     speeds_radps: Wheels | None = None
-    """The measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`. None if the board does not
-    report speeds."""
+    """The measured speed of each wheel, rad/s, positive forward, in the order of `Wheels.names`. None if the board does
+    not report speeds."""
     turned_rad: Wheels | None = None
-    """How far each wheel has turned since the first report, in rad, positive forward. The board has counted it, or it
-    was added up from the board's speeds. None if the board reports neither."""
+    """How far each wheel has turned since the first report, in rad, positive forward. Some boards count how far the
+    wheels turn. For boards that report only speeds, the distance is added up from the speeds. None if the board reports
+    neither distances nor speeds."""
 
 
 OLD_S = 10.0
@@ -119,33 +123,37 @@ class Ages:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """A check of the setting board.per_rps. It shows if the wheels turn as fast as commanded."""
+    """The result of checking the setting board.per_rps. The check compares how fast the wheels turn with how fast they
+    are commanded to turn."""
 
     capped: str = ""
-    """While nobody has confirmed board.per_rps, speeds are capped. This text then says so, with the remedy. Empty after
-    somebody has confirmed it."""
+    """A text that says that speeds are capped, and how to end that. Speeds are capped until a person confirms
+    board.per_rps; after that, the text is empty."""
     wheels: float | None = None
-    """Measured wheel speed divided by commanded wheel speed. It is known only if the board reports in a unit of its
-    own; otherwise None."""
+    """Measured wheel speed divided by commanded wheel speed. None if not known. It is known only if the board reports
+    wheel speeds in a different unit than the one for commands, because with the same unit, a wrong scale would be in
+    both speeds and not show."""
     turn: float | None = None
-    """Measured turn rate of the robot, from the gyro, divided by the commanded one. None if not known."""
+    """The robot's turn rate as the gyro measures it, divided by the commanded turn rate. None if not known."""
     wrong: tuple[str, ...] = ()
-    """Texts about differences that are too large. Each names the setting to check."""
+    """Texts about differences between measured and commanded speeds that are too large. Each text names the setting to
+    check."""
     remarks: tuple[str, ...] = ()
-    """Texts about smaller differences. A slope, a load, the battery or skidding wheels can be the reason for these."""
+    """Texts about smaller differences between measured and commanded speeds. A slope, a load, the battery or skidding
+    wheels can be the reason for such a difference."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """The last stop, with its three proofs: written, acknowledged and observed. Each proof is None until it is
-    known."""
+    """The last stop, with its three proofs: written, acknowledged and observed. Each proof is None until it has been
+    obtained."""
 
     cause: Cause
     """Why the robot was stopped."""
     reason: str
     """The text of `cause`."""
     t: float
-    """When it was stopped (Unix time, s)."""
+    """When the robot was stopped (Unix time, s)."""
     noticed_by: str
     """The process that noticed the cause."""
     written_by: str
@@ -155,25 +163,27 @@ class Stop:
     if they could not be written."""
     acknowledged_s: float | None
     """The second proof: how long it took from noticing the cause until the board acknowledged the stop, in s. A board
-    acknowledges a stop by answering a ping that was written after it, or by reporting that it obeys the stop."""
+    acknowledges a stop by answering a ping that was written after the stop, or by reporting that the board now obeys
+    the stop."""
     observed_s: float | None
-    """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if they were
-    not seen moving before the stop either."""
+    """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if the wheels
+    were not seen moving even before the stop."""
     epoch: int = 0
-    """The epoch that this stop has raised. If somebody requested a stop during an earlier epoch, this stop also answers
-    that request."""
+    """The number of the epoch that began with this stop. A request for a stop is answered by the first stop whose epoch
+    is higher than the epoch at the time of the request."""
     sent: bool = True
-    """False if the bytes of the stop are still in the kernel, because the board accepts none."""
+    """False if the board accepts no bytes, so that the bytes of the stop are still in the kernel."""
     acknowledged_by: str = "answer"
-    """How this board acknowledges a stop: `answer` (to a ping), `echo` (it reports what it obeys), or empty if it never
-    does."""
+    """How this board acknowledges a stop: `answer` (the board answers pings), `echo` (the board reports which command
+    it obeys), or empty (this board never acknowledges a stop)."""
     observed_by: str = "IMU"
-    """What has observed the wheels: `wheels` (the board's own reports about them) or `IMU`. Empty if nothing can,
-    because the robot has no IMU."""
+    """What has observed the wheels: `wheels` (the board's own reports about them) or `IMU`. Empty if nothing can
+    observe them, because the board reports nothing about the wheels and the robot has no IMU."""
     noticed_ns: int = 0
     """When the cause was noticed (CLOCK_MONOTONIC, ns). Unlike `t`, it does not depend on the wall clock."""
     believed: bool = True
-    """False until the device that got the stop has answered as the board does. Until then it may be another device."""
+    """True if the device on the port has answered as a board of this kind does. While this is False, the stop may have
+    gone to a device that is not the board."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,19 +191,21 @@ class Process:
     """One process of the service."""
 
     pid: int
-    """The pid; 0 while no such process exists."""
+    """The pid of the process. 0 while the process does not exist, for example before it is started again."""
     state: str
-    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed because it hung, but not gone
-    yet), dead, waiting (to be started), down (it has died too often, so it is not started at once), or stopping."""
+    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed because it hung, but the kernel
+    has not ended it yet), dead, waiting (to be started), down (it has died too often, so it is started again only after
+    a pause or a reset), or stopping."""
     age_s: float
     """The time since its last heartbeat, in s. Before the first heartbeat, it is the time since the beginning of the
     run."""
     restarts: int
     """How often it was restarted in this run."""
     last_exit: str | None
-    """How the previous process of this name died. None if there was none."""
+    """How the previous process with this name died. None if no process with this name has died."""
     worst_s: float
-    """The longest time that one pass through its loop has taken since it was started, in s."""
+    """The longest time between two heartbeats of this process, in s. A process has one heartbeat in each pass through
+    its loop."""
     realtime: bool
     """True if it has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
@@ -202,9 +214,10 @@ class Process:
     """True if the kernel reports the death of another process to this process early. Early means before the kernel
     frees the memory of the dead process."""
     killed: bool = False
-    """True if the previous process of this name was killed by a signal."""
+    """True if the process that `last_exit` is about was killed by a signal."""
     starts_in_s: float | None = None
-    """In how many seconds it will be started again. None if it is running, or must be reset first."""
+    """In how many seconds the process will be started again. None if the process is running, or if it is started only
+    after a reset."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,17 +233,17 @@ class Device:
     silent: it has stopped sending anything. unheard: it has not answered since it was plugged in again. unasked: this
     kind of board never answers."""
     watchdog_s: float = 0.0
-    """How long after the last frame the board's own watchdog acts, in s. 0 if the board has no watchdog, or this is not
-    known."""
+    """How long the board must get no frame before the board's own watchdog acts, in s. 0 if the board has no watchdog,
+    or if that time is not known."""
     watchdog_does: str = ""
     """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: the
-    wheels stop, and the board accepts no motion until it is armed again. Empty if the board has no watchdog, or this is
-    not known."""
+    wheels stop, and the board accepts no motion until it is armed again. Empty if the board has no watchdog, or if it
+    is not known what the watchdog does."""
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """How long the board has reported that it obeys zero speed although motion is commanded, in s. None if it does not
-    report that."""
+    """If the board does not obey: for how long it has been reporting that it obeys zero speed, while motion is
+    commanded, in s. None if the board has not reported this contradiction."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -242,7 +255,7 @@ class Client:
     name: str
     """The name that the program gives itself."""
     pid: int
-    """The pid that the program gives."""
+    """The pid of the program, as the program itself reports it."""
     driving: bool
     """True if its command moves the wheels at present."""
     sees: str = ""
@@ -250,12 +263,13 @@ class Client:
     wrong: str = ""
     """A line in which the program says what is wrong; empty if nothing is."""
     said_s: float | None = None
-    """How long ago the program sent these lines, in s. None if it has sent none."""
+    """How long ago the program sent `sees` and `wrong`, in s. None if it has not sent them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A source whose last command has not expired yet, or that fell silent while the wheels turned."""
+    """A source of commands. A source is listed while its last command has not expired. It is also listed if it fell
+    silent while the wheels turned."""
 
     source: str
     """Its name in the settings, or `gamepad`."""
@@ -265,21 +279,23 @@ class Source:
     """The program that commands as this source, with its name and pid."""
     state: Literal["drives", "waits", "held", "silent"]
     """What the source does. drives: its command moves the wheels. waits: a source with a higher priority drives. held:
-    it has commanded since before motion was enabled, so it must first send zero or pause. silent: it stopped sending
-    commands while the wheels turned."""
+    it was already commanding a velocity when motion was enabled, so its commands count only after it has sent zero or
+    paused. silent: it stopped sending commands while the wheels turned."""
 
     def __str__(self) -> str:
-        """The program, and its source unless that is the one that every program has by default."""
+        """The name of the program that commands, with the name of the source. The source is left out if it is cmd_vel,
+        which programs use by default."""
         return self.who if self.source == FIRST_SOURCE else f"{self.who} as {self.source}"
 
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """In the last ten minutes, the machine has not run a process of the service for some time. Nothing was stopped,
-    because motion was disabled. These values are about the longest such time."""
+    """The machine was too busy to run a process of the service for some time. If motion is disabled, that stops
+    nothing; if motion is enabled, the robot is stopped. The values are about the longest such time. They are kept until
+    the machine has run every process in time for ten minutes."""
 
     longest_s: float
-    """How long the process was not run, in s."""
+    """For how long the machine did not run the process, in s."""
     process: str
     """The process that the machine did not run."""
 
@@ -289,14 +305,15 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """The gyro's reading while the robot is at rest, which is subtracted from its other readings."""
+    """The gyro's bias. It is what the gyro shows while the robot is at rest. It is subtracted from every reading of the
+    gyro."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
     tracking: bool
-    """True if the bias is following the readings at present."""
+    """True if the bias is being updated from the gyro's readings at present."""
     calibrated: bool
-    """True if the robot was at rest long enough at the start to measure the bias."""
+    """True if the robot was at rest long enough after the service was started to measure the bias."""
 
 
 class Imu(NamedTuple):
@@ -316,18 +333,19 @@ DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, r
 
 
 class Odometry(NamedTuple):
-    """The robot's pose since the start, and its velocity. They are computed from how far the wheels have turned, if the
-    board reports that, or else from the commands."""
+    """The robot's pose relative to where the service was started, and the robot's velocity. If the board reports how
+    far the wheels have turned, pose and velocity are computed from these reports. If not, they are computed from the
+    commands."""
 
     t_ns: int
     """The time of the pose (CLOCK_MONOTONIC, ns). If the pose comes from the board's reports, it is the time of the
     newest report."""
     x_m: float
-    """How far the robot has moved in the direction that was forward at the start, m."""
+    """How far the robot has moved in the direction that was forward when the service was started, m."""
     y_m: float
-    """How far the robot has moved in the direction that was left at the start, m."""
+    """How far the robot has moved in the direction that was left when the service was started, m."""
     th_rad: float
-    """How far the robot has turned since the start, rad counter-clockwise."""
+    """How far the robot has turned since the service was started, rad counter-clockwise."""
     vx_mps: float
     """Velocity forward, m/s."""
     vy_mps: float
@@ -339,8 +357,9 @@ class Odometry(NamedTuple):
     twist_std_radps: float
     """Standard deviation of wz, rad/s, from the settings."""
     source: Literal["commands", "wheels"] = "commands"
-    """Where the pose comes from. wheels: from how far the board says that the wheels have turned. commands: from what
-    the wheels were commanded to do, whatever they really did, because the board has reported nothing about them."""
+    """Where the pose comes from. `wheels`: it is computed from the board's reports about how far the wheels have
+    turned. `commands`: the board reports nothing about the wheels, so the pose is computed from the commands and does
+    not show what the wheels really did."""
     pose_covariance: tuple[float, ...] = DEAD_RECKONING
     """Covariance of x, y (m2) and th (rad2), in the order xx, xy, x th, yy, y th, th th. If the pose comes from the
     wheels, it grows with the distance. If the pose comes from commands, it is huge, because nobody should trust such a
@@ -384,7 +403,7 @@ class JointState:
     age_s: float | None
     """How long ago the position was read, in s. None until it was read."""
     commanded_rad: float | None
-    """The angle to which the joint was sent, rad. None while its position is not known."""
+    """The commanded angle of the joint, rad. None while the position of the joint is not known."""
     torque: bool | None
     """True if the torque is on, False if it is off. None if that is not known yet."""
     temperature_c: int | None
@@ -394,8 +413,8 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where the joint is, as far as that is known, rad. This is the angle to which it was sent, because a servo is
-        not asked for its position while it moves. If it was not sent anywhere, it is the angle that was read."""
+        """Where the joint is, as far as that is known, rad. This is the commanded angle, because a servo is not asked
+        for its position while it moves. If no angle was commanded, this is the measured angle."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
@@ -410,7 +429,7 @@ class ArmState:
     moving: bool
     """True if the arm is moving."""
     by: str
-    """The program that moves the arm. Empty if none does."""
+    """The program that moves the arm. Empty if no program moves it."""
     closed: str
     """Why the arm accepts no goal at present. Empty if it accepts goals."""
     refused: str
@@ -424,9 +443,9 @@ class ArmState:
     pose: str
     """The pose in which the arm is: drive, tuck, or empty if it is in neither."""
     auto_tuck_s: float | None
-    """In how many seconds the arm will move to its tuck pose by itself. None if it will not."""
+    """In how many seconds the arm will move to its tuck pose by itself. None if no such move is planned."""
     pad_joint: str | None
-    """The joint that the gamepad turns. None if it turns none."""
+    """The joint that the gamepad turns at present. None if the gamepad turns no joint."""
     joints: dict[str, JointState]
     """The joints by name."""
 
@@ -442,8 +461,8 @@ class State:
     estop: str | None
     """The text of `cause`. None if no stop is latched."""
     cause: Cause | None
-    """The cause of the latched stop. If several causes came since the last reset, it is the first one. None if no stop
-    is latched."""
+    """The cause of the latched stop. If the robot was stopped several times since the last reset, this is the cause of
+    the first stop. None if no stop is latched."""
     blocked: str | None
     """Why the wheels may not turn, in the gate's words. None when they may turn. In programs use `block` instead."""
     body_vel: Velocity
@@ -451,20 +470,22 @@ class State:
     wheels_radps: Wheels
     """The speed that the gate commands for each wheel."""
     epoch: int
-    """A number that every stop raises."""
+    """A number that gets higher with every stop."""
     waiting_for: str | None
-    """What is not ready yet, so that motion can't be enabled. None if everything is ready."""
+    """What motion is waiting for, for example the board. Motion can't be enabled until it is ready. None if everything
+    is ready."""
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
     """The processes by name."""
     starved: Starved | None
-    """Set if the machine has not run a process in time during the last ten minutes. None if it has run all of them."""
+    """Details if the machine was too busy to run a process of the service during the last ten minutes. None if it was
+    not."""
     clients: tuple[Client, ...]
     """The programs that hold client slots."""
     sources: tuple[Source, ...]
-    """The sources whose last command still counts, and those that have fallen silent (see `Source.state`). The highest
-    priority comes first."""
+    """The sources whose last command has not expired, and the sources that fell silent while the wheels turned (see
+    `Source.state`). The source with the highest priority comes first."""
     scan_age_s: float | None
     """The time since the obstacle sensor last delivered a reading, in s. None if it never has."""
     last_stop: Stop | None
@@ -481,8 +502,8 @@ class State:
     """The battery's voltage, V. None before the first reading, and while the board reports no battery or an impossible
     voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
-    """plugged if a charger is plugged in, unplugged if not, else unknown. It is judged by jumps of the battery's
-    voltage."""
+    """plugged if a charger is plugged in, unplugged if not, else unknown. failstop concludes this from jumps of the
+    battery's voltage."""
     age_s: float
     """The age of the gate's record, in s. The gate publishes at least every 0.08 s."""
     speed_limit: float = 1.0
@@ -495,10 +516,10 @@ class State:
     unmet: str = ""
     """Why an interlock does not hold, as a text. Empty if all interlocks in the settings hold."""
     starved_times: int = 0
-    """How often in this run nothing was stopped although the machine did not run a process in time (see `starved`)."""
+    """How many times in this run the machine was too busy to run a process of the service (see `starved`)."""
     lease_s: float = 0.06
-    """How long the gate or the supervisor may be silent while the wheels turn, in s (gate.lease_s; longer without
-    real-time rights)."""
+    """If the gate or the supervisor is silent for longer than this while the wheels turn, the robot is stopped. In s,
+    from the setting gate.lease_s, whose default is longer without real-time rights."""
     steering_rad: float | None = None
     """The commanded angle of the steered wheels, rad, positive to the left. None if the robot has no steering or is at
     rest."""
@@ -506,17 +527,18 @@ class State:
     """The stopping distance at the present speed limit, in m. After any fault that failstop can detect, the robot is at
     rest within this distance."""
     scale: Scale = Scale()
-    """Whether the wheels turn as fast as commanded."""
+    """How fast the wheels turn, compared with how fast they are commanded to turn."""
     turning: Turning = Turning()
     """What is known about the wheels at present. It comes from observation, not from what was commanded."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. It changes if motion is disabled and
-    enabled again, however quickly that happens."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. If motion is disabled and enabled again,
+    this time changes, so you notice it even if it happens between two snapshots."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
-    """The load and the temperature in degrees C of each servo, by the part that it turns. The load is a share of the
-    servo's largest load, with a sign."""
+    """For each servo, its load and its temperature in degrees C. The keys name the part that the servo turns, such as a
+    wheel. The load is a signed share of the servo's largest load."""
     servos_wrong: dict[str, str] = dataclasses.field(default_factory=dict)
-    """What is wrong with each servo that does not answer or reports an error, by the part that it turns."""
+    """For each servo that does not answer or reports an error, what is wrong with it. The keys name the part that the
+    servo turns, such as a wheel."""
     ages: Ages = Ages()
     """The ages of the newest readings."""
     battery_ns: int = 0
@@ -538,15 +560,15 @@ class State:
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """True if a reading of this age still says something about the present. If the board has stopped sending, no
-        reading does."""
+        """True if a reading of this age is fresh enough to describe the present. Always False while the port is not
+        open, and while the board sends nothing."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:
-        """The source whose command moves the wheels, or would move them if it were not zero. None if no source
-        drives."""
+        """The source that drives at present, which means that its commands count. They may command a velocity of zero.
+        None if no source drives."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:

@@ -33,7 +33,8 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""The names of times in records end with their unit. This table says how many of each unit make a second."""
+"""In a record, the name of a time ends with its unit, for example `written_ms`. For each unit, this table says how many
+of it are one second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -85,8 +86,8 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
 
 
 SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
-"""The kinds of the board's reports that become samples, each with the function that makes the sample. Other reports
-appear only in State."""
+"""The kinds of the board's reports that samples() returns, each with the function that makes the sample. Reports of
+every other kind appear only in State."""
 
 
 class StateReader(SeenRun):
@@ -124,7 +125,8 @@ class StateReader(SeenRun):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call, in order, and the newest odometry if it has changed."""
+        """The board's reports since the last call of samples(), in order, and the newest odometry if it has changed
+        since that call."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -173,7 +175,7 @@ class StateReader(SeenRun):
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
         """The commanded angle of the steered wheels, which is the last of the gate's speeds. None on a base without
-        steering, and at rest, because the angle means nothing then."""
+        steering. Also None at rest, because the gate's angle means nothing while no wheel turns."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
@@ -257,14 +259,14 @@ class StateReader(SeenRun):
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
-        """Read the part of the state that a driving program needs each time. Returns the gate's decision; the cause of
-        the latched stop, or None; the epoch; when the gate published its decision; and True if the supervisor is dead.
-        Until the gate has published its first decision, motion counts as disabled since the start of the run. Raises
-        FailstopError.
+        """Read only the part of the state that drive() needs, because a program calls drive() very often. Returns the
+        gate's decision; the cause of the latched stop, or None; the epoch; when the gate published its decision; and
+        True if the supervisor is dead. Until the gate has published its first decision, motion counts as disabled since
+        the start of the run. Raises FailstopError.
 
         A stop counts even if the gate has not reacted to it yet, because the gate hangs or has just died. The port
-        owner accepts no frames from an older epoch, and the next gate starts with the latched stop. The same is true if
-        the supervisor has died or fallen silent, and the gate still publishes its last decision.
+        owner accepts no frames from an older epoch, and the next gate starts with the latched stop. The death or the
+        silence of the supervisor also counts as a stop here, even while the gate still publishes its last decision.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
@@ -301,14 +303,16 @@ class StateReader(SeenRun):
 
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
-        """After how many seconds the board's own watchdog acts, what it does, and True if there is an IMU. For your own
-        board the watchdog is not known, because a client does not run the code that describes the board."""
+        """Return three values: after how many seconds the board's own watchdog acts, what the watchdog does, and True
+        if the robot has an IMU. The watchdog is not known for a board that a user's own code describes, because a
+        client does not run that code."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. It can't update
-        its table then, and two of the other processes die with it."""
+        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. A dead
+        supervisor no longer updates its table. The gate and telemetry die with it, and the other two processes end
+        soon."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
@@ -342,7 +346,8 @@ class StateReader(SeenRun):
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """What telemetry knows about the wheels. A reading that is too old is left out."""
+        """What telemetry knows about the wheels. If the newest reading is too old, what the wheels do at present is
+        unknown."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -368,7 +373,8 @@ class StateReader(SeenRun):
         return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
-        """Convert values in turns by wire id to rad by wheel, positive forward. None if a wheel is not reported."""
+        """Convert turns to rad, positive forward. The given values are in the order of the ids on the wire; the result
+        is in the order of the wheels. None if the board does not report one of the wheels."""
         if not values or any(value != value for value in values):  # NaN
             return None
         return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
@@ -381,8 +387,8 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """Make an object from a record whose values have the same names as the object's fields. The values in `known` are
-    added. Times are converted to s."""
+    """Make an object from a record whose values have the same names as the object's fields. Times in the record are
+    converted to s. `known` has more fields for the object, by name."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:

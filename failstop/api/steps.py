@@ -17,7 +17,7 @@ from failstop.policy.settings import PAD_SOURCE
 
 
 class Purpose(Enum):
-    """What a step is good for."""
+    """What a step achieves."""
 
     HEED = "see to the cause of the stop"
     POWER = "make sure that the wheels stand"
@@ -29,11 +29,13 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""For a reset and for an enable, the kinds of steps that must come first. Otherwise the service refuses the request."""
+"""The kinds of steps that must come before a reset, and the kinds that must come before motion can be enabled. Until
+these steps are done, the service refuses the reset or the enable."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"
-"""This helps if a program has commanded the same velocity since it was started, and never pauses."""
+"""The end of the text of some steps. It helps with a program that never pauses. If such a program was already
+commanding a velocity when motion was enabled, it may not drive until it is ended and started again."""
 LET_GO = "let go of the stick, then push it again"
 SENSOR = (
     "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
@@ -48,31 +50,33 @@ class Step(NamedTuple):
     typed: str
     """The text for a terminal, with commands in backquotes."""
     clause: str | None = None
-    """The text for the web page, which names the page's buttons. Empty if the page shows nothing. None if it is the
-    same text as for the terminal."""
+    """The text for the web page, which names the page's buttons. Empty if the page shows no text for this step. None if
+    the page shows `typed`."""
 
     @property
     def pressed(self) -> str:
-        """The step as a sentence for the web page. Empty if the page shows nothing."""
+        """The step as a sentence for the web page. Empty if `clause` is empty or None."""
         return words.sentence(self.clause) if self.clause else ""
 
 
 NO_SERVICE = Step(
     Purpose.MEND, "start the service", "if the wheels turn: turn the robot's power switch off. Then start the service"
 )
-"""The step if no service is running. There is no state then from which steps could be found."""
+"""The step if no service is running. It is fixed, because without a service there is no state from which the steps
+could be found."""
 YOUR_PROGRAM = "start your driving program"
 HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE", "drive": YOUR_PROGRAM}
-"""The texts for the web page of a paired device, which has buttons for these steps."""
+"""The texts for the web page on a paired device. That page has buttons for resetting, attending and enabling."""
 BY_STICK = {**HERE, "drive": "hold the stick to drive"}
-"""The texts for the web page of a paired device that also shows the stick to drive."""
+"""The texts for the web page on a paired device, if the page also shows a stick for driving."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
     "enable": "enable motion with a paired device or failstop enable,",
     "drive": YOUR_PROGRAM,
 }
-"""The texts for a web page without these buttons."""
+"""The texts for the web page on a device that is not paired. That page has no buttons for resetting, attending or
+enabling."""
 
 
 def is_stick(source: Source | None) -> bool:
@@ -81,8 +85,8 @@ def is_stick(source: Source | None) -> bool:
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """Two texts, for the terminal and for the page, that say to wait while the gate is down. A person need not start
-    the gate, because the supervisor does it after a pause."""
+    """Two texts, for the terminal and for the page, that ask people to wait until the gate is running again. Nobody
+    needs to start the gate, because the supervisor starts it after a pause."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
@@ -158,7 +162,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
 
 def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) -> list[Step]:
     """The steps that are needed, in order. Empty while the wheels move. `known`: True if the reader already knows which
-    interlock does not hold. `how`: the texts for the page."""
+    interlock does not hold. `how`: the texts for the page, which are HERE, BY_STICK or ELSEWHERE."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, known, how)]
@@ -194,6 +198,6 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
     """The next steps after a reset or an enable was refused, in one line. Empty if the state shows no reason for a
-    refusal, because otherwise the text would ask for the same request again. `known`: True if an interlock was the
-    reason, so the reader knows about it."""
+    refusal any more, because the only step left would be to repeat the refused request. `known`: True if an interlock
+    was the reason for the refusal, so the reader already knows which interlock."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

@@ -37,14 +37,16 @@ UNHEEDED_S = 0.5
 """If the board reports zero speed for this long, in s, although motion is commanded, it does not obey. A shorter time
 proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
 STALE_S = 0.5
-"""If the gate's last decision is older than this, in s, it says nothing about the wheels. The gate normally publishes
-every 80 ms."""
+"""A decision of the gate that is older than this, in s, says nothing about the wheels any more. The gate normally
+publishes every 80 ms."""
 LATE_BEAT_S = 0.3
-"""A heartbeat that is older than this, in s, is highlighted. The slowest process has one every 100 ms."""
+"""If the newest heartbeat of a process is older than this, in s, the screens highlight its age. Every process has a
+heartbeat at least every 100 ms."""
 BATTERY_LOW_V = 10.5
-"""Below this voltage the battery is almost empty. It is for three lithium cells with 3.5 V each."""
+"""Below this voltage the battery is almost empty. The value is for a battery of three lithium cells, 3.5 V for each
+cell."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
-"""The kinds of events after which motion may be enabled or disabled, or may be allowed again."""
+"""The kinds of events that can change whether motion is enabled, or whether it can be enabled."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """The kinds of events about a driver that stopped driving while the wheels turned."""
 UNLATCHED = LEFT_OFF | {"disabled"}
@@ -55,7 +57,7 @@ SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
 def unreached(state: State) -> str:
-    """Why bytes may not reach the board. Empty if there is no reason to think so."""
+    """Why bytes may not reach the board. Empty if there is no sign of such a problem."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
@@ -97,22 +99,21 @@ def row(state: State) -> wheels.Row:
 
 
 def doubt(state: State) -> str:
-    """Why the wheels turn, or may turn, although they were commanded to stop. Empty if there is no reason to think
-    so."""
+    """Why the wheels turn, or may turn, although they were commanded to stop. Empty if there is no sign of that."""
     found = row(state)
     return ", and ".join(filter(None, (found.text, unreached(state)))) if found.alarm else ""
 
 
 def unseen(state: State) -> str:
-    """What word() does not say about the wheels. They may still turn, or nothing may show what they do. Empty if word()
-    says enough, or if doubt() has a text."""
+    """What people must know about the wheels in addition to word(). For example, the wheels still turn, or nothing
+    shows what they do. Empty if word() says enough, or if doubt() has a text."""
     found = row(state)
     return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
-    """Why it is not proven that the wheels do what word() says. Empty if the board's answers prove it. Also empty if
-    doubt() has a text, or if this kind of board can't answer."""
+    """Why nobody can rely on what word() says. Either the board has never answered, or it reports zero speed although
+    motion is commanded. Empty if neither is so, and also if doubt() has a text."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -120,8 +121,8 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """A text that says how long the board has reported zero speed although motion is commanded. Empty if it has not, or
-    not long enough to be sure."""
+    """If motion is commanded but the board reports zero speed, a text that says for how long. Empty if the board does
+    not report that, or has reported it for less than UNHEEDED_S."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
@@ -135,7 +136,8 @@ def word(state: State) -> str:
 
 
 def proven_word(state: State) -> str:
-    """The word about the wheels. If it is not proven, the text says so."""
+    """The word about the wheels, as word() returns it. If that word is not proven, the text adds that it is unproven,
+    and why."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
@@ -182,13 +184,14 @@ def headline(state: State) -> str:
 
 
 def down(state: State) -> list[str]:
-    """The names of processes that have died too often, so that they are not restarted at once."""
+    """The names of processes that are not running because they have died too often. They are started again only after a
+    pause or a reset."""
     return [name for name, process in state.processes.items() if process.state == "down"]
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """Why a process does not work, and until when, as the end of a sentence. `ended`: a clause about how the previous
-    process of this name ended."""
+    """The end of a sentence about a process that does not work. It says why the process does not work, and when it will
+    start again. `ended`: a clause about how the previous process with the same name ended."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -197,8 +200,8 @@ def absence(process: Process, ended: str = "") -> str:
 
 
 def no_answer(state: State) -> str:
-    """Why the gate answers no requests, with the remedy. Empty while the gate is running, because then the state shows
-    no reason."""
+    """Why the gate answers no requests, with the remedy. Empty while the gate is running, because the state of a
+    running gate shows no reason."""
     gate = state.processes[GATE]
     if gate.state == "running":
         return ""
@@ -208,13 +211,13 @@ def no_answer(state: State) -> str:
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
-    """The newest event of one of these kinds. None if there is none."""
+    """The newest event of one of these kinds. None if there is no such event."""
     return next((event for event in reversed(events) if event.kind in kinds), None)
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
-    """The event about a driver that stopped driving while the wheels turned. None if there is none, or if a later event
-    has changed the motion."""
+    """The event about a driver that stopped driving while the wheels turned. None if there is no such event, or if it
+    is out of date because of a later event, such as a stop or a new enable."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
@@ -243,8 +246,8 @@ def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """For each process, a clause about how the previous process of its name ended. If the supervisor killed a process
-    because it hung, the clause says so. The exit status alone would not show that."""
+    """For each process, a clause about how the previous process with the same name ended. If the supervisor killed the
+    previous process because it hung, the clause says so, because the exit status alone would not show that."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}
@@ -257,6 +260,7 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """How the run before this one ended, with the command that shows more. Empty if it ended cleanly."""
+    """How the previous run of the service ended, with the command that shows more. Empty if the previous run ended
+    cleanly."""
     told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
     return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

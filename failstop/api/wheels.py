@@ -23,7 +23,8 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 """Zero is commanded, and the wheels are seen to be still."""
 STOPPING = "STOPPING"
-"""Zero is commanded, and the wheels still move, but not longer than the setting still.after_s allows."""
+"""Zero is commanded, and the wheels still move. That is normal, because the time still.after_s (a setting) in which
+they must come to rest is not over yet."""
 TOLD_TO_STOP = "TOLD TO STOP"
 """Zero is commanded, and nothing shows if the wheels obey."""
 TURNING = "TURNING"
@@ -31,10 +32,11 @@ TURNING = "TURNING"
 MOVED = "MOVED"
 """Zero is commanded, but the IMU feels that the robot moves. It moves by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
-"""A stop may not have reached the wheels, so nobody must rely on it."""
+"""A stop may not have reached the wheels, so don't rely on that stop."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
-"""More words for a screen that people read from a distance. STOPPED, STOPPING and TOLD TO STOP are used there too."""
+"""These words are used only on a screen that people read from a distance. Such a screen also uses STOPPED, STOPPING and
+TOLD TO STOP."""
 
 
 class Commanded(enum.Enum):
@@ -43,7 +45,7 @@ class Commanded(enum.Enum):
     ZERO = "zero"
     MOTION = "motion"
     NOBODY_KNOWS = "nobody knows"
-    """Commands may not reach the board, so nobody knows what it does."""
+    """Commands may not reach the board, so nobody knows which command the board obeys."""
 
 
 class Seen(enum.Enum):
@@ -70,7 +72,8 @@ class Row(NamedTuple):
     alarm: bool = False
     """True if the wheels turn, or may turn, although nobody wants that."""
     unless: str = ""
-    """What else could turn the wheels, such as a person. It is used in the advice to use the power switch."""
+    """A harmless reason why the wheels turn, for example "somebody pushes it". Screens advise people to use the power
+    switch unless this reason applies."""
 
 
 _UNKNOWN = "the wheels are told to stop, but nothing shows what they do now"
@@ -94,8 +97,9 @@ TABLE: dict[tuple[Commanded, Seen], Row] = {
     (Commanded.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
     (Commanded.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
 }
-"""What a screen may say for each combination of command and observation. If nothing can report what the wheels do,
-because the board reports nothing and the robot has no IMU, that is no alarm. It is UNSEEN, and the screens say so."""
+"""What a screen may say for each combination of command and observation. On some robots nothing can report what the
+wheels do, because the board reports nothing and the robot has no IMU. That alone is not an alarm. Such a robot has
+Seen.UNSEEN, and the screens say that nothing reports what the wheels do."""
 
 SEEN = {
     Seen.TURN: "the wheels turn",
@@ -127,14 +131,16 @@ def seen(state: State) -> Seen:
 
 
 def commanded(state: State, unreached: str) -> Commanded:
-    """What the wheels are commanded to do. `unreached`: why bytes may not reach the board; empty if they do."""
+    """What the wheels are commanded to do. `unreached`: why bytes may not reach the board, or empty, as
+    verdict.unreached() returns it."""
     if unreached:
         return Commanded.NOBODY_KNOWS
     return Commanded.MOTION if state.moving else Commanded.ZERO
 
 
 def row(state: State, unreached: str) -> Row:
-    """What a screen may say about the wheels. `unreached`: why bytes may not reach the board; empty if they do."""
+    """What a screen may say about the wheels. `unreached`: why bytes may not reach the board, or empty, as
+    verdict.unreached() returns it."""
     return TABLE[commanded(state, unreached), seen(state)]
 
 

@@ -24,7 +24,8 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""When this time has passed after a stop, in s, nothing more is learned about it."""
+"""Until this time has passed after a stop, in s, a missing proof may still come. So the text says, for example, "NOT
+acknowledged by the board yet". After this time it leaves out "yet"."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,15 +33,16 @@ class Why:
     """The answer to "why are the wheels stopped?". str() of it has the three lines."""
 
     what: str
-    """Why the wheels are stopped, and since when. While they move, it says which program drives."""
+    """Why the wheels are stopped, and since when. While the wheels move, this is a text about the program that
+    drives."""
     proof: str
-    """The proof that the wheels are stopped. First comes what was written, acknowledged and observed for the stop that
-    `what` is about (only latched stops are timed). Then comes what is observed at present, with the age of the
-    reading."""
+    """The proof that the wheels are stopped. First it says when the stop that `what` is about was written, acknowledged
+    and observed. (Only latched stops have these times.) Then it says what is observed about the wheels at present, with
+    the age of the reading."""
     do: tuple[str, ...]
     """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
     also: tuple[str, ...]
-    """Other faults."""
+    """Faults that are not the reason for the stop, but that people should know about."""
     since: float | None
     """When the wheels were stopped (Unix time, s). None if not known."""
 
@@ -48,7 +50,7 @@ class Why:
         return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines, each with its label. Each other fault has an `also` line of its own."""
+        """The lines, each with its label. Every fault in `also` has a line of its own."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
 
@@ -71,9 +73,11 @@ HOLDS = {
 }
 """Two texts for each block: one for a terminal, and a sentence for the web page."""
 SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
-"""The texts that are used for these blocks if it is known when they began. The time follows."""
+"""For these blocks, the text that is used if it is known since when the wheels have been blocked. The word "since" and
+the time follow the text."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""Blocks in which the wheels wait for a client. What the client reports may say why."""
+"""With these blocks, the wheels wait for a client, for example for a driving program. So the lines that clients report
+with say() may explain the block."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
@@ -112,7 +116,7 @@ def _holds(state: State) -> str:
 
 
 def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
-    """What has happened, and what to check before a reset. Both are plain texts that continue a sentence. `reached`:
+    """Return two texts: what has happened, and what to check before a reset. Each text continues a sentence. `reached`:
     how it is known that the stop has reached the wheels (`verdict.reached`)."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
@@ -141,7 +145,8 @@ def _free(state: State) -> str:
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
-    """When the present block began (Unix time, s), or None if that is not known, and a text about what caused it."""
+    """Return two values about the present block: when it began (Unix time, s; None if not known), and a text about what
+    caused it."""
     stop = state.last_stop
     if state.cause:
         begun = stop.t if stop and stop.cause == state.cause else None
@@ -165,8 +170,9 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """A text about the proof of the stop that keeps the wheels stopped. If no latched stop is the reason, it says only
-    what the board's answers prove, because the times of an earlier stop prove nothing about the present."""
+    """A text that proves that the wheels are stopped. If a latched stop is the reason why they are stopped, the text
+    gives the proofs of that stop. If not, the text says only what the board's answers prove, because the times of an
+    earlier stop prove nothing about the present."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -181,8 +187,8 @@ def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
 
 
 def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
-    """True if this stop is the reason why the wheels are stopped. That is so if it is latched, or if nothing has
-    enabled or disabled motion since."""
+    """True if this stop is the reason why the wheels are stopped. A latched stop is the reason. A stop that is no
+    longer latched is still the reason if nothing has enabled or disabled motion after that stop."""
     if state.block is not Block.DISABLED:
         return stop.cause == state.cause
     change = verdict.newest(events, verdict.CHANGES)
@@ -190,10 +196,10 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that there was
-    nothing to observe, because the wheels were not moving before the stop either, or because this board never
-    acknowledges a stop. If the stop was not written, the list says only that. `link`: the state of the connection to
-    the board."""
+    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that no proof is
+    possible, because the wheels were already still before the stop, because the robot has no IMU, or because this board
+    never acknowledges a stop. If the stop could not be written, the list has only one text, which says so. `link`: the
+    state of the connection to the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -220,8 +226,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Texts about other faults that keep the wheels from moving, or may do so. They include what clients report as
-    wrong. If the wheels wait for a client, they also include what that client sees."""
+    """Texts about faults other than the reason for the stop. These faults may also keep the wheels from moving. They
+    include what clients report as wrong. If the wheels wait for a client, they also include what the clients see."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

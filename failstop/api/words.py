@@ -15,14 +15,14 @@ DAY_S = 86400.0
 OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
-"""The most that two clocks of a computer drift apart, as a share of the time, unless somebody sets one of the
-clocks."""
+"""The most that two clocks of one computer drift apart, as a share of the elapsed time. If they differ by more,
+somebody has set one of them."""
 GUARDED = "uses the guard port "
 """How the guard's report about a driver begins; the path of the port follows."""
 ON_PAGE = "(page)"
 """The end of the name under which the operator's page commands and asks for somebody, before the pid."""
 NOWHERE_MPS = 0.0005
-"""A speed below this is shown as zero, because rounding would give 0."""
+"""A speed below this, in m/s or rad/s, is left out. With two decimals it would be shown as 0.00."""
 
 
 def span(seconds: float) -> str:
@@ -49,8 +49,9 @@ def printable(text: str) -> str:
 
 
 def clock_jump(wall_s: float, monotonic_s: float) -> float:
-    """How far the wall clock has jumped, in s; negative if backward. The two times are how long the same interval was
-    on the wall clock and on the monotonic clock. Returns 0 if they differ only as much as clocks drift apart."""
+    """How far the wall clock has jumped, in s; negative if it jumped backward. Pass the length of one interval as each
+    clock has measured it: `wall_s` by the wall clock, and `monotonic_s` by the monotonic clock. Returns 0 if the two
+    lengths differ so little that drift can explain it."""
     jumped_s = wall_s - monotonic_s
     return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
 
@@ -78,8 +79,8 @@ def ago(unix_s: float, now_s: float) -> str:
 
 
 AGED_S = 3.0
-"""A reading that is at least this old, in s, is shown with its age. Younger readings are not, because some boards
-report their battery only once per second."""
+"""A reading that is at least this old, in s, is shown with its age. The age of a younger reading is left out, because
+it is normal that some boards report their battery only once per second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
@@ -109,7 +110,7 @@ def steering(rad: float) -> str:
 
 
 def took(seconds: float) -> str:
-    """A short time as text, with only the digits that matter."""
+    """A short time as text, with only as many digits as matter."""
     if seconds < 1e-4:
         return f"{seconds * 1e6:.0f} us"
     if seconds >= 1:
@@ -119,8 +120,8 @@ def took(seconds: float) -> str:
 
 
 def named(text: str, name: str) -> str:
-    """Add the option with the service's name to each failstop command in backquotes. This is needed if a computer has
-    several services."""
+    """Add the option with the service's name to each failstop command in backquotes, because a computer may have
+    several services. The default service needs no option."""
     import re  # imported only here, because the incident saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
@@ -144,8 +145,8 @@ def of(name: str) -> str:
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """For each client that reports something: its name, what it sees, and what it reports as wrong. If the report is
-    old, its age is added to the name."""
+    """For each client that reports something: the client's name, what the client sees, and what the client reports as
+    wrong. If the report is old, the age of the report is added to the client's name."""
     found = []
     for client in state.clients:
         if client.said_s is not None:
