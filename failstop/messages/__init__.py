@@ -1,2 +1,3 @@
-"""Messages: the records in shared memory that the processes exchange. Each is declared once, with its shape, its place,
-the process that writes it and the processes that read it."""
+"""Messages: the records in shared memory that the processes exchange. Each record is declared only once. The
+declaration has the record's shape, its place in shared memory, the process that writes the record and the processes
+that read it."""

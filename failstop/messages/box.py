@@ -1,8 +1,9 @@
-"""The black box: what each process except the stopper did in about the last minute. It is kept in shared memory, in
-rings named `box`, and saved with each stop. This module has the payloads of these rings.
+"""The black box records what each process except the stopper has done in about the last minute. The records are in
+shared memory, in rings named `box`, and are saved with each stop. This module defines the payloads of these rings.
 
 Each ring is in the segment of the process that writes it, so it can still be read when that process has died. Readers
-never delay the writer. Adding an entry is cheap. On the stop path, the bytes of the stop are written first.
+never delay the writer. Adding an entry is cheap. It still never delays a stop, because a process adds the entry about a
+stop only after it has written the bytes of the stop.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 SECONDS = 60
 """How many seconds each ring covers if its writer runs at its normal rates."""
 GATE_CELLS = 3072
-"""How many entries the gate's ring holds. The gate adds 50 per second, one for each of its ticks."""
+"""How many entries the gate's ring holds. The gate adds 50 entries per second, one in each of its ticks."""
 WIRE_CELLS = 4096
 """How many entries the ring of bytes for the board holds. Each second there are up to 50 motion frames, 2 pings and a
 few stops. A client that drives at 100 Hz fills the ring in 40 s."""
@@ -27,10 +28,11 @@ BOARD_CELLS = 8192
 """How many entries the ring of the board's reports holds. Each second there are 110 IMU samples, 20 gamepad frames and
 one battery reading."""
 ARM_CELLS = 640
-"""How many entries the arm's ring holds. While a client moves the arm there are 10 per second, and one more whenever
-the goal changes."""
+"""How many entries the arm's ring holds. The gate adds 10 entries per second while a client moves the arm, and one more
+whenever the goal changes."""
 BEATS_CELLS = 768
-"""How many entries the ring of the processes' heartbeats holds. There are 10 per second, and one more at each stop."""
+"""How many entries the ring of the processes' heartbeats holds. The supervisor adds 10 entries per second, and one more
+at each stop."""
 
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
@@ -45,7 +47,7 @@ HELD = "let go first"
 EVERY_BLOCK = (LATCHED, DISABLED, HELD, NO_COMMAND, NO_SCAN)
 """All reasons why nothing moves. If several apply, the gate reports the first one in this list."""
 DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
-"""The gate's possible decisions. An entry of its ring has the index of one."""
+"""The gate's possible decisions. Each entry in the gate's ring has the index of the decision in this tuple."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
 """Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person drives. DRIVES: the newest command moves the
@@ -60,22 +62,24 @@ WIRE_HEAD = 39
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""The ways in which an arm can be moved. The empty text means that nobody moves the arm from then on."""
+"""The ways in which an arm can be moved. An entry with the empty text means that nobody has moved the arm since that
+entry."""
 
 SILENCES = 1
 OWN_BURST = 2
-"""Marks an entry about a stop burst that the supervisor itself wrote, on its own descriptor. The entry has no other
-value than its time."""
+"""Marks an entry in the ring of heartbeats that is not about heartbeats: the supervisor itself has written a stop
+burst, on its own descriptor. Such an entry has only its time, and no values."""
 MOST_U32 = 0xFFFFFFFF
 
 MOST_SPEEDS = 5
-"""The most speeds that a frame for the board has. On a steered base the last one is the steering angle in rad."""
+"""The most speeds that a frame for the board has. On a steered base, the last speed in a frame is not a speed, but the
+steering angle in rad."""
 TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
-"""One tick of the gate, with the values that unpack_gate() describes. The entry says how many speeds it has, and always
-has room for the most that any board takes, so the same layout fits every board."""
+"""One tick of the gate, with the values that unpack_gate() describes. The entry always has room for MOST_SPEEDS speeds,
+so the same layout fits every board. It also has the number of speeds that are used."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
-"""Bytes for the board: the kind of the entry, how many bytes there were, how many of these the kernel took, and the
-first bytes of a frame."""
+"""An entry about bytes for the board. It has the kind of the entry, how many bytes were to be written, how many of
+these the kernel accepted, and for WIRE_FRAME the first bytes of the frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
     BATTERY_KIND: records.BATTERY,
@@ -83,8 +87,9 @@ REPORTS: dict[int, Shape] = {
     SERVO_KIND: records.SERVO,
     WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
-"""The shapes of the board's reports, as telemetry has decoded them. The kind is the first byte of the entry. IMU
-samples are stored as they are published. Wheel speeds are in turns per second, by wire id (NaN if not reported)."""
+"""The shapes of the board's reports, as telemetry has decoded them. The first byte of an entry is the kind of report.
+The values of an IMU sample are the ones that telemetry also publishes to the other processes. Wheel speeds are in turns
+per second, by wire id (NaN if not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -92,8 +97,8 @@ _AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
-    """The closest value that fits into a four-byte float. This is needed because a client may send any double. NaN
-    stays NaN."""
+    """The closest value that fits into a four-byte float. A client may send any double, so its value may be too large.
+    NaN stays NaN."""
     return min(max(value, -3e38), 3e38)
 
 
@@ -116,8 +121,9 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo. The second value is
-    the position at the end (trajectory) or now (follow) in pulses, or the rate (jog) in pulses/s."""
+    """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo: the servo's id and
+    its aim. The aim is the last position of a trajectory, in pulses; with follow, the position that the client wants at
+    present, in pulses; with jog, the rate in pulses/s."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
@@ -135,8 +141,9 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """Make an entry about heartbeats. For each process of layout.PROCESS_NAMES it has the longest time without a
-    heartbeat since the last entry, and how long ago that was, both in microseconds."""
+    """Make an entry about heartbeats. For each process of layout.PROCESS_NAMES, `silent_us` has the longest time
+    without a heartbeat since the previous entry, and `before_us` says how long ago that silence was. Both are in
+    microseconds."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
@@ -147,9 +154,9 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
     """The values of one tick of the gate, by name. Raises ValueError if the entry is damaged.
 
     `block` is one of DECISIONS. `commands` counts the commands since the tick before. `age_us` is the age of the newest
-    command; None if there was no command yet. `command` is the velocity that was asked for, and `velocity` the one that
-    the gate commands. `wheels_rps` has the wheel speeds in turns per second, by wire id. `source` and `who` say who
-    commands.
+    command; None if there was no command yet. `command` is the velocity that the client asks for, and `velocity` is the
+    velocity that the gate commands. `wheels_rps` has the wheel speeds in turns per second, by wire id. `source` is the
+    source of the command, and `who` is the client that sent it.
     """
     epoch, block, flags, commands, speeds, age_us, *numbers, source, who = TICK.unpack(payload)
     return {
@@ -170,7 +177,8 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
     """Return (silent_us, before_us) for each process of layout.PROCESS_NAMES, as pack_beats() got them. Empty if the
-    entry is about a burst of the supervisor. Raises ValueError if it is damaged."""
+    entry is not about heartbeats, but about a stop burst of the supervisor (OWN_BURST). Raises ValueError if it is
+    damaged."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)

@@ -2,8 +2,8 @@
 payload, and the processes that read it.
 
 Each process has a segment of its own. It maps this segment for writing, and all other segments only for reading, so two
-processes can never write the same record. Each client writes a segment of its own too. The service never maps a
-client's segment, but reads it as a file (see cell.py).
+processes can never write the same record. Each client slot also has a segment, to which only the client writes. The
+service never maps a client's segment into memory, but reads it as a file (see cell.py).
 
 In each segment, the records that the C library uses come first (OF_LIBRARY), so that a new record of the service does
 not move them.
@@ -21,13 +21,14 @@ from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 12
 SUPERVISOR_BLOCK = 0
-"""The block of futexes (futex.py) that the supervisor holds. The blocks of the processes that it starts come after this
-one."""
+"""The block of futexes (futex.py) that the supervisor holds. The supervisor's block is the first one. The blocks of the
+processes that the supervisor starts come after it."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The longest note in bytes that the gate or telemetry sends (packing.py)."""
 PINGS = 4
-"""How many different pings a board has at most. The board's answer shows which of the pings it answers."""
+"""How many different pings a kind of board can have at most. The pings must differ, so that an answer of the board
+shows which ping it belongs to."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
@@ -217,8 +218,8 @@ the format of a payload in records.py changes but no size changes."""
 
 CLIENT_VERSION = 1
 """Raise this number if programs that use the C library (clients/c) must be built again although no record of the
-library has changed its size or place. This is so if a value, or a key in `state`, `rules` or `settings`, gets another
-meaning."""
+library has changed its size or place. For example, raise it if the meaning of a value changes, or the meaning of a key
+in `state`, `rules` or `settings`."""
 OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
     SUPERVISOR: {
         **dict.fromkeys(("beat_ns", "epoch", "ready", "link", "rules", "settings")),

@@ -1,5 +1,5 @@
-"""Packing: turns values into msgpack for shared memory, with one small buffer per process. It also defines the notes
-that the gate and telemetry send to people."""
+"""Packing: turns values into msgpack for shared memory. It uses one small buffer for the whole process. It also defines
+the notes that the gate and telemetry send to people."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""How many bytes of the text, and of each field, are kept in a note. If the note is too long with the first pair of
-lengths, the second pair is used."""
+"""How many bytes of the text, and of each field, are kept in a note. Each pair has the limit for the text and the limit
+for each field. The second pair is used only if the note is too long with the first pair."""
 
 
 def fitting(
@@ -35,8 +35,8 @@ def fitting(
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
     """Pack a text and its fields into at most `room` bytes. `whole` is a function that combines the two into one value.
-    Each pair in `cuts` is a limit in bytes for the text, and one for each field. The first pair with which everything
-    fits is used. If there is none, all fields are left out."""
+    Each pair in `cuts` has two limits in bytes: the first is for the text, and the second is for every field. The first
+    pair with which everything fits into `room` is used. If nothing fits with any pair, all fields are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {

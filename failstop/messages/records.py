@@ -1,8 +1,8 @@
 """Records: declares each payload in shared memory that has a fixed shape, with its values, and converts it to bytes and
 back.
 
-Payloads with a variable shape are msgpack maps, and the process that writes one also defines it. These are the gate's
-state, the process table, and the last stop as people see it.
+Payloads with a variable shape are msgpack maps, and the process that writes one also defines it. The payloads with a
+variable shape are the gate's state, the process table, and the last stop as people see it.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ if TYPE_CHECKING:
     Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
-"""Kinds of frames from the gate. MOTION is a motor frame. Only the newest one counts, and it is refused once its epoch
-or the lease is over. WRITE_BURST tells the port owner to write the stop burst now. OTHER is any frame that doesn't move
-anything; such frames are sent in order. ARM is a frame for the arm's servos; these are sent in order too, and refused
-as motion is."""
+"""Kinds of frames from the gate. MOTION is a motor frame. If several motor frames wait, only the newest one is sent.
+WRITE_BURST tells the port owner to write the stop burst now. OTHER is any frame that doesn't move anything. ARM is a
+frame for the arm's servos. OTHER and ARM frames are sent in order, and none is skipped for a newer one. But the port
+owner refuses a MOTION or ARM frame if a stop came after the frame was made (its epoch is over), or if the gate's lease
+is over."""
 ASKED_BYTES = 180
-"""The longest reason of a stop request, in bytes of UTF-8. With the name of the program that asks, it fits into a
-record."""
+"""The longest reason of a stop request, in bytes of UTF-8. It is limited so that the reason and the name of the program
+that asks fit into one record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""A request to stop the whole fleet has this text before the name of the person who asked. The fleet publisher on each
-robot passes such a request on."""
+"""If somebody stops the whole fleet, the request has this text before that person's name. It reaches each robot through
+the fleet publisher that runs on the robot."""
 CAUSE = "{cause}"
 """In the text of a reply, the text of the cause replaces this placeholder."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""A reason that was cut ends with this text."""
+"""If a reason was too long and was cut, it ends with this text."""
 
 NOBODY = 0
 """A session number that no client ever has."""
@@ -57,7 +58,7 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, ARM_READ, LIMIT = range(1, 11)
 
 REFUSED, DONE, UNDER_WAY = range(3)
-"""The kinds of replies to a request. After UNDER_WAY, another reply follows."""
+"""The kinds of replies to a request. UNDER_WAY is not the last reply, so the client waits for the next one."""
 FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS = 1, 2, 3
 """Why a request was refused. FOR_THE_LATCH: a stop is latched; the reply has its cause. FOR_AN_INTERLOCK: an interlock
 does not hold; the reply has its text. FOR_THE_WHEELS: the wheels may turn."""
@@ -66,7 +67,7 @@ MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
 MOST_REPORTED = 4
-"""The most wheels that a board can have if it reports which command it obeys."""
+"""The most wheels on a board of the kind that reports which command it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -74,9 +75,9 @@ PAD_MODES = ("locked", "drive", "joint")
 
 
 class Tail(Data):
-    """The part of a payload that comes after its fixed numbers. `pack` turns the values into bytes, and `unpack` does
-    the reverse; it raises ValueError if the bytes don't fit. `most` and `least` say how many bytes the part can
-    have."""
+    """The part of a payload that comes after its fixed numbers. `pack` turns the values into bytes. `unpack` turns
+    bytes into the values, and raises ValueError if the bytes don't have this form. `most` and `least` say how many
+    bytes the part can have."""
 
     pack: Callable[..., bytes]
     unpack: Callable[[bytes], tuple[Any, ...]]
@@ -131,8 +132,8 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """Combine a process's pid and the number of the block of futexes that it holds into one word. With this word
-    another process can watch it."""
+    """Combine a process's pid and the number of the block of futexes that it holds into one word. With this word, other
+    processes can notice that the process has died."""
     return block << 32 | pid
 
 
@@ -276,20 +277,22 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
         MOST_REPORTED * _DOUBLE.size,
     ),
 )
-"""Something that was written and that the board will answer or echo. It is the index of a ping; or COMMANDED
-(failstop/board/handled.py), with the speeds that the board will report."""
+"""What the port owner has just written to the board, if the board will answer or echo it. For a ping, it is the index
+of the ping. For a motion frame, it is COMMANDED (failstop/board/handled.py), with the speeds that the board will
+report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""Two times in ns. The board has handled everything that was written until the first time, and its report about that
-came at the second time."""
+"""Two times in ns. A report of the board has proven that the board has handled everything that was written until the
+first time. The second time is when that report arrived."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""A stop: its epoch; when it was noticed (ns); when its burst was passed to the kernel (ns; 0 if it was not); and the
-packed cause."""
+"""A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
+0 if the burst could not be passed); and the packed cause."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""The latch: the epoch of the latched stop (0 if nothing is latched); when that stop was noticed (ns); when the epoch
-was last raised (ns); and the packed cause of the latched stop. If nothing is latched, it is the cause of the last
-stop."""
+"""The latch: the epoch of the latched stop (0 if nothing is latched); when the cause of that stop was noticed (ns);
+when the epoch was last raised (ns); and the packed cause of the latched stop. If nothing is latched, the packed cause
+is that of the last stop."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
-"""The port: its number in this run; when its present state began (ns); this state, such as PORT_OPEN; and its path."""
+"""The board's port. The values are the port's number in this run; when the port's present state began (ns); the present
+state, such as PORT_OPEN; and the port's path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     "<Q3d?",
     Tail(
@@ -304,21 +307,23 @@ person drives, and the source. The name of the source is never cut, because a sh
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""What a client asserts: its session, and names. They are names of interlocks, or the name of an operator, and are
-never cut. Without names, the record says that the obstacle sensor has delivered a reading."""
+"""What a client asserts. The values are the client's session, and a list of names. The names are those of interlocks
+that hold, or the name of an operator who is present. If there are no names, the record says that the obstacle sensor
+has delivered a reading. A name is never cut."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
-"""A client's report about itself: its session, what it sees, and what is wrong (may be empty)."""
+"""What a client reports with say(). The values are the client's session, what the client sees, and what is wrong (may
+be empty)."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""The client that holds a slot: a random session number, its pid, its pid namespace, its name."""
+"""Which client holds a slot. The values are the client's random session number, pid, pid namespace and name."""
 GOODBYES = 64
 LEFT = Shape(f"<{GOODBYES}Q")
-"""The sessions that have left a client slot, the newest first. Many are kept, because many clients may come and go
-before the gate looks again."""
+"""The sessions that have left a client slot, the newest first. So many sessions are kept because many clients may come
+and go before the gate reads this record again."""
 
 
 def goodbye(session: int, before: bytes) -> bytes:
-    """Put the session that leaves in front of those that have left before. `before`: the bytes of the old LEFT
-    record."""
+    """Make the LEFT record that a client writes when it leaves. `session`: the client's session, which comes first.
+    `before`: the bytes of the old LEFT record, whose sessions follow."""
     try:
         earlier = LEFT.unpack(before)
     except ValueError:
@@ -330,32 +335,34 @@ ANSWER_WITHIN_NS = 1_000_000_000
 """How long a client waits for the answer to a request, in ns, unless the program chooses another time (`answer_s` of
 Robot)."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
-"""A client's request: its session, the number of the request, which the reply repeats, and what it asks for, such as
-ENABLE."""
+"""A client's request. The values are the client's session; the number of the request, which the reply repeats; and what
+the client asks for, such as ENABLE."""
 AUX: Payload[int, bytes] = Payload("<Q", rest(WIRE_BYTES))
-"""A client's frame for the board that moves nothing: the session, and one of the board's questions or another frame
-that the board's check_aux() allows."""
+"""A frame that a client sends to the board, but that moves nothing. The values are the client's session and the frame,
+which may be a question to the board or any other frame that check_aux() of the board allows."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
-"""The speed limit that a client's request is about: its session, and the limit in percent of the settings' speeds."""
+"""The speed limit that a client asks for. The values are the client's session, and the limit in percent of the speeds
+in the settings."""
 SEEN: Payload[int, int] = Payload("<QQ")
 """A client's session, and the newest epoch that the person who asks for a reset has seen (0 if that is not known)."""
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
 """The reply to a client's request. Its values are the client's session; the number of the request; DONE, REFUSED or
-UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 for another reason or none; the text of the reply; and
-the packed cause whose text replaces CAUSE in it."""
+UNDER_WAY; the reason for a refusal, which is FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 in every other case;
+the text of the reply; and a packed cause, whose text replaces the placeholder CAUSE in the text of the reply."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
-"""What a client wants the arm to do, repeated again and again: its session, ARM_FOLLOW or ARM_JOG, and a value for each
-servo. For ARM_FOLLOW the value is the angle of the servo's joint (rad), for ARM_JOG its rate (rad/s)."""
+"""What a client wants the arm to do at present. The client must repeat it again and again. The values are the client's
+session, ARM_FOLLOW or ARM_JOG, and a value for each servo. For ARM_FOLLOW the value is the angle of the servo's joint
+(rad), for ARM_JOG its rate (rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )
-"""A client's trajectory for the arm: its session, the share of the joints' speeds that it may use, the servos (at most
-MOST_JOINTS), and the rows (at most MOST_ROWS). Each row has a time (s) and the angles of these servos' joints (rad). A
-time of 0 in the first row means as fast as allowed."""
+"""A client's trajectory for the arm: its session, the share of the joints' highest speeds that the trajectory may use,
+the servos (at most MOST_JOINTS), and the rows (at most MOST_ROWS). Each row has a time (s) and the angles of these
+servos' joints (rad). If the time in the first row is 0, the arm moves as fast as allowed."""
 OF_SESSION: dict[str, Shape] = {
     "command": COMMAND,
     "sensed": ASSERTED,  # written when the obstacle sensor has delivered; the time is the reading's
@@ -378,16 +385,17 @@ RATE_VARIANCE = 0.0012**2
 """The variance that is published with a turn rate, (rad/s)^2. Measured at rest, the gyro's standard deviation is 0.0007
 to 0.0011 rad/s."""
 BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
-"""The gyro's bias (rad/s on x, y, z); True if the bias follows the readings at present; and True if a calibration has
-found it."""
+"""The gyro's bias (rad/s on x, y, z); True if the bias is being updated from the readings at present; and True if the
+bias was found by a calibration."""
 ODOMETRY_FROM = ("commands", "wheels")
 BY_COMMANDS, BY_ROLLING = range(len(ODOMETRY_FROM))
 ODOMETRY = Shape("<8dB6d")
 """The robot's pose since the start: x m, y m, th rad. Then its velocity in its own frame: vx m/s, vy m/s, wz rad/s.
-Then the standard deviation of the velocity: m/s for vx and vy, rad/s for wz. Then where both come from, as an index of
-ODOMETRY_FROM. Last the covariance of the pose: xx, xy, x th, yy, y th, th th.
+Then the standard deviation of the velocity: m/s for vx and vy, rad/s for wz. Then where the pose and the velocity come
+from, as an index of ODOMETRY_FROM. Last the covariance of the pose: xx, xy, x th, yy, y th, th th.
 
-The record's time is that of the wheels' newest report. If the pose comes from commands, it is the time of writing.
+The record's time is when the board last reported about the wheels. If the pose comes from commands, the record's time
+is when the record was written.
 """
 POSE_VARIANCE = 1e3
 """The variance that is published with a pose that comes from commands: m^2 for x and y, rad^2 for th. It is huge,
@@ -397,9 +405,10 @@ WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
 WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
 """What is known about the wheels. Its values are an index of WHEELS_DO; an index of WHEELS_BY, the observer; True if
-the wheels turn although they were told zero for longer than the setting still.after_s allows; the number of wheels that
-are reported; since when this has been so, and the time of the newest reading (both in ns; 0: never). Then follow the
-measured speed of each wheel in turns per second, by wire id, and how many turns each has made (NaN: not reported)."""
+the wheels still turn when the time that they have to come to rest (setting still.after_s) is over; how many wheels the
+board reports about; since when the wheels have been still or turning, and when the newest reading was taken (both in
+ns; 0: never). Then follow the measured speed of each wheel in turns per second, by wire id, and how many turns each has
+made (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
 """A reading of the wheels that is older than this, in ns, says nothing about the present."""
 BATTERY: Payload[int, int] = Payload("<IB")
@@ -408,20 +417,20 @@ HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * _SERVO_HEAL
 """What the servos report about themselves. For each servo: its id, its load (-1 to 1, stored in percent), its
 temperature (degrees Celsius; 0 if not reported yet) and its errors."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
-"""The gamepad's last frame: one bit per button, the hat, the axes lx, ly, rx, ry from -128 to 127, and an index of
-PAD_MODES."""
+"""The newest frame of the gamepad: the buttons (one bit per button), the hat, the axes lx, ly, rx, ry from -128 to 127,
+and an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
 """The velocity that the gamepad's sticks command: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")
 """The gamepad's command for the arm: the index of a joint in the settings, and the share of its speed, -1 to 1."""
 PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
-"""A request of the gamepad, which telemetry passes to the gate. It is PAD_RESET, or PAD_FRAME with a frame for the
-board that moves nothing."""
+"""A request of the gamepad, which telemetry passes to the gate. The request is either PAD_RESET, or PAD_FRAME followed
+by a frame for the board. The frame moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with this number, such as PORT_OPEN. `entry`: the port owner's record. Returns PORT_CLOSED
-    if the record is about another port."""
+    """The state of the port with the number `number`, such as PORT_OPEN. `entry`: the port owner's PORT record. If the
+    port owner already has a newer port, its record is about the newer port, so the result is PORT_CLOSED."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -1,11 +1,11 @@
 """Segments: the blocks of POSIX shared memory of a running service, which are files on Linux. The supervisor makes
 them, and the other processes attach to them.
 
-Every user may write to /dev/shm, so another user could put files there in advance. For this reason the names contain a
-random number, the run's incarnation, which only the runtime directory reveals (its file `run`). A process also checks
-each segment when it attaches to it: first the owner, then size, magic number, layout and incarnation. If one of them is
-wrong, it refuses the segment with a message that says what to do. A damaged segment is never repaired, because a
-restart of the service makes new ones.
+Every user may write to /dev/shm, so a malicious user could put files with the same names there before the service
+starts. For this reason the names contain a random number, the run's incarnation, which only the runtime directory
+reveals (its file `run`). A process also checks each segment when it attaches to it: first the owner, then size, magic
+number, layout and incarnation. If one of these checks fails, the process refuses the segment, with a message that says
+what to do. A damaged segment is never repaired, because a restart of the service makes new ones.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
     """Make a segment for this run. Only the supervisor does this. While the supervisor lives, it holds a lock on its
-    own segment, so that other processes can see if it is alive. Raises AttachError, and then leaves no segment
-    behind."""
+    own segment, so that other processes can see if it is alive. Raises AttachError if the segment can't be made, and
+    then removes a half-made segment."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         fd = _make(path)
@@ -83,8 +83,8 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. There is no
-    wheel of posix-ipc for Python 3.14, so without it this makes the same system call as glibc's shm_open(). Raises
+    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. If not, it
+    makes the same system call as glibc's shm_open(), because there is no wheel of posix-ipc for Python 3.14. Raises
     OSError."""
     try:
         import posix_ipc  # imported only here, so that processes that only attach don't load it
@@ -98,7 +98,8 @@ def _make(path: str) -> int:
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove the name of a segment. It ignores errors, because nobody needs the name again, even if it still exists."""
+    """Remove the name of a segment. Errors are ignored, because a name that can't be removed does no harm. Every new
+    run uses new names."""
     with contextlib.suppress(OSError):
         os.unlink(path_of(memory, name))
 
@@ -159,8 +160,8 @@ def _version(told: bytes) -> str:
 
 
 def dead_runs(instance: str) -> list[str]:
-    """The runs of this instance and user that have ended but have left segments, the newest last. Each is given by the
-    name that its segments share, see memory()."""
+    """The runs of this instance, started by this user, that have ended without removing their segments. The newest run
+    comes last. Each run is returned as the name that all of its segments share; see memory()."""
     found: dict[str, int] = {}
     prefix = f"failstop.{instance}."
     for file in os.listdir(SHM):
@@ -176,7 +177,7 @@ def dead_runs(instance: str) -> list[str]:
 
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
-    """Attach to a segment. With `write` it can be written, which only its declared writer may do.
+    """Attach to a segment. Pass write=True only in the process that is declared as the writer of this segment.
 
     Most segments are mapped into memory. If several processes write a segment (clients, or the holders of lifelines),
     it is accessed through its file instead, because a mapped file that somebody truncates kills the process with
@@ -201,9 +202,10 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so it is
-    not checked. The CRC of each record includes the incarnation instead. If the name of the segment was removed, the
-    segment counts as always empty."""
+    """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so the
+    header is not checked. Instead, the CRC of each record shows that the record belongs to this run, because it
+    includes the run's incarnation. If a client has removed the segment's name, the segment can't be opened. The service
+    then reads an empty segment instead."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
@@ -213,8 +215,9 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
 
 
 def open_all(memory: str) -> dict[str, int]:
-    """Open the segments of all processes of a run for reading, as far as they exist and belong to this user. Returns
-    the descriptors by process name. They can still be read after the names of the segments were removed."""
+    """Open the segments of all processes of a run for reading. Segments that don't exist, or that belong to another
+    user, are left out. Returns the descriptors by process name. They can still be read after the names of the segments
+    were removed."""
     found = {}
     for name in layout.PROCESS_NAMES:
         try:
@@ -230,8 +233,8 @@ def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
-    """Open a segment's file, and return the descriptor. It never waits, even if there is a pipe at that path. Raises
-    OSError, or place.Untrusted if the file does not belong to `owner`."""
+    """Open a segment's file, and return the descriptor. Opening never waits, even if somebody has put a pipe at the
+    path of the segment. Raises OSError, or place.Untrusted if the file does not belong to `owner`."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _FLAGS)
     found = os.fstat(fd)
@@ -263,7 +266,7 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
 
 
 def _described(memory: str, name: str) -> str:
-    """The name of this segment in messages to people."""
+    """How messages to people name the segment `name`."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 
