@@ -1,10 +1,10 @@
-"""Capsules: finds out if the arm would hit itself, the chassis or the floor on its way. Pure. A stop never waits for
-it.
+"""Capsules: finds out if the arm would hit itself, the chassis or the floor during a move. Pure. A stop never waits for
+this computation.
 
 The arm is modelled as a chain of capsules, which are cylinders with round ends, one after each joint. If all angles are
 zero, the chain points straight up from its mount. A joint turns the rest of the arm about the vertical (yaw), about a
-sideways axis (pitch), or about its own axis (roll), or does not turn it (none, for example a gripper). The chassis is
-one capsule along the robot. Lengths, radii and the mount come from the settings.
+sideways axis (pitch), or about its own axis (roll). A joint may also turn nothing (none), as a gripper does. The
+chassis is one capsule along the robot. Lengths, radii and the mount come from the settings.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""The arm's way is checked each time a joint has turned by this angle, rad. Meanwhile the tip of an arm with a reach of
-0.1 m moves 5 mm, and with a reach of 0.3 m it moves 15 mm."""
+"""The path of a move is checked at points that are so close together that no joint turns by more than this angle (rad)
+between two of them. Between two points, the tip of an arm with a reach of 0.1 m moves 5 mm, and with a reach of 0.3 m
+it moves 15 mm."""
 
 
 class Model:
@@ -50,8 +51,8 @@ class Model:
         return found
 
     def nearest(self, angles: dict[str, float]) -> tuple[float, str, str]:
-        """The smallest gap between two parts at these angles, in m, with the names of the two parts. Below 0 they
-        touch. Two links that are mounted on each other are not compared."""
+        """The smallest gap between two parts at these angles, in m, with the names of the two parts. A gap below 0
+        means that the two parts touch. A link is not compared with the next link, because the two are joined."""
         links = self.capsules(angles)
         found = (inf, "", "")
         for index, link in enumerate(links):
@@ -104,9 +105,9 @@ def _on(begin: Point, way: Point, share: float) -> Point:
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
-    """Find the first collision on the arm's way from `start` along the rows, in straight lines between angles. Returns
-    after how many seconds it happens (0 if a row has no time) and which two parts touch, or None if none touch. Parts
-    that touch already at the start may move apart."""
+    """Find the first collision if the arm moves from `start` to the angles of each row, one after the other. Between
+    two rows, every joint turns evenly. Returns after how many seconds the collision happens (0 if the row has no time)
+    and which two parts touch; None if no parts touch. Parts that touch already at the start may move apart."""
     at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
         end = {**at, **to}

@@ -1,13 +1,13 @@
 """Causes: the table of everything that stops the robot. Each row says what people read, which process notices the
 cause, what clears it, and what people must do.
 
-A stop must not wait for its text. So the process that notices a cause only sends the row's number and the arguments
-(`pack`). The process that reports the cause makes the text (`str`). In a template, a part in brackets is left out if
-its arguments are empty. Every cause latches.
+A stop must not wait for its text. So the process that notices a cause sends only the row's number and the arguments
+(`pack`). The text (`str`) is made later, by the process that reports the cause. In the template of a text, a part in
+brackets is left out if the arguments in it are empty. A stop for any of these causes is latched.
 
 `what` is a clause that continues "stopped since ...". It can use the arguments, and also `role` (what the process does)
-and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`), and can name the thing to change
-(ADVISED).
+and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder, for
+example for the ROS nodes that must be changed (see ADVISED).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ ARGUMENTS_BYTES = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Used in place of a name that the program doesn't know yet when it asks for a stop. It sends the request again when it
-knows the name."""
+"""A program may ask for a stop before it knows the name of the culprit, for example of a ROS node. It then uses this
+text in place of the name, and sends the request again when it knows the name."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
@@ -48,7 +48,8 @@ _TELL = (
 _AGAIN = "if this is not the first time, look at what happened before it (`failstop events`)"
 _BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
-"""What people must do first if the cause has a `doubt`."""
+"""What people must do first if the stop may not have reached the wheels. This is possible for the causes that have a
+`doubt`."""
 PORT_SHARED = "`failstop doctor` shows whether a login or another program takes the answers from the port"
 USE_THE_SWITCH = "use the POWER SWITCH"
 
@@ -57,8 +58,9 @@ class Kind(Data):
     """One row of the table of causes.
 
     `number` is never used again for another row. `template` has its parameters in braces; none of them is called
-    "name". `noticed_by` lists the processes that can notice the cause. `doubt` is a clause that is added to `what`. It
-    sends people to the power switch until it is known that the stop has reached the wheels.
+    "name". `noticed_by` lists the processes that can notice the cause. If a stop for this cause may not reach the
+    wheels, `doubt` is a clause that is added to `what`. With a `doubt`, first() sends people to the power switch until
+    it is known that the stop has reached the wheels.
     """
 
     number: int
@@ -77,13 +79,14 @@ class Kind(Data):
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
-        """The name and type of each parameter. They are computed only once, because a cause is made right before a stop
-        is written."""
+        """The name and type of each parameter of `template`. The parameters are computed only once, because a cause is
+        made right before a stop is written, and the stop must not wait."""
         fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
         return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
     def __call__(self, *arguments: Value) -> Cause:
-        """Make a cause of this kind. Raises ValueError if the arguments don't fit the parameters."""
+        """Make a cause of this kind with these arguments. Raises ValueError if the arguments don't fit the parameters
+        in `template`."""
         if len(arguments) != len(self.parameters):
             raise ValueError(f"{self.name} takes {len(self.parameters)} arguments, not {len(arguments)}")
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
@@ -104,8 +107,8 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text that is shown when the stop happens. It says to use the power switch if the stop may not have
-        reached the wheels."""
+        """The text that is shown when the stop happens. If the stop may not have reached the wheels, the text tells
+        people to use the power switch."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
@@ -135,7 +138,7 @@ class Cause:
 
 
 def unpack(payload: bytes) -> Cause:
-    """Convert the bytes of a packed cause back. Raises ValueError if they are damaged."""
+    """Make a cause from the bytes that pack() has returned. Raises ValueError if the bytes are damaged."""
     number = int.from_bytes(payload[:NUMBER_BYTES], "little")
     if len(payload) < NUMBER_BYTES or number not in BY_NUMBER:
         raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
@@ -158,8 +161,8 @@ def filled(template: str, arguments: dict[str, Value]) -> str:
 
 
 def read(payload: bytes) -> Cause:
-    """Convert the bytes of a packed cause back. If they are damaged, the result is UNKNOWN, because the stop still
-    counts."""
+    """Make a cause from the bytes that pack() has returned. Damaged bytes give UNKNOWN instead of an error, because a
+    stop counts even if its cause can't be read."""
     try:
         return unpack(payload)
     except ValueError:
@@ -167,8 +170,8 @@ def read(payload: bytes) -> Cause:
 
 
 def of(name: str, arguments: dict[str, Value]) -> Cause:
-    """Make the cause with this name and these arguments. If this version of failstop doesn't know it, the result is
-    UNKNOWN."""
+    """Make the cause with this name and these arguments. If this version of failstop doesn't have a cause with this
+    name, the result is UNKNOWN."""
     kind = CAUSE_BY_NAME.get(name)
     if kind is None or {key for key, _ in kind.parameters} - set(arguments):
         return UNKNOWN()
@@ -208,8 +211,9 @@ def bare(cause: Cause) -> str:
 
 
 def remedied(cause: Cause, reached: str = "") -> str:
-    """What people must do first, with the names of this case filled in. `reached`: how it is known that the stop has
-    reached the wheels; empty if it is not known."""
+    """What people must do first after a stop for this cause. The placeholders in the remedy are filled in, for example
+    with the names of ROS nodes. `reached`: how it is known that the stop has reached the wheels; empty if it is not
+    known."""
     return cause.kind.first(reached).format_map({name: advise(cause) for name, advise in ADVISED.items()})
 
 
@@ -234,16 +238,17 @@ BY = " (says it is "
 
 
 def rival_of(who: str, other: str) -> str:
-    """Name the client that disturbs the client `who`. Both are given as a name with a pid. If both have the same pid,
-    they are two Robots in one program, and the text says so."""
+    """How to name the client `other` to people, because it disturbs the client `who`. Both arguments are a client's
+    name with its pid. Normally the result is `other`. If both pids are the same, the clients are two Robots in one
+    program, so the result is SECOND_ROBOT."""
     pid = who.rpartition(" (pid ")[2]
     known = pid.endswith(")") and pid != "0)"  # 0: the client is in another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """True if `later` is the same stop request as `latched`, and fills in a name that was not known at first. This can
-    be true only once for a latched cause, because afterwards no name is missing."""
+    """True if `later` is a repetition of the stop request `latched`, and has the name that was NOT_KNOWN in `latched`.
+    For each latched cause this can be True only once, because after that no name is missing."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -479,8 +484,8 @@ SIGNED = (
 
 
 class Reply(Data):
-    """The answer to a request. The placeholder CAUSE (messages/records.py) in its text is replaced by the text of
-    `cause`."""
+    """The answer to a request. str() of a Reply is its text, in which the placeholder CAUSE (messages/records.py) is
+    replaced by the text of `cause`."""
 
     done: int
     text: str

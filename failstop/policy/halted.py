@@ -1,8 +1,9 @@
 """Halted: the sentence that a command prints about the wheels after it has tried to stop them. Pure.
 
-The sentence says that the wheels are stopped, but only if that was observed. For that the whole stop must have been
-written, and if the board can confirm a stop, it must have done so. Otherwise the sentence says that a wheel may still
-be turning.
+The sentence says that the wheels are stopped only if the wheels were observed to be at rest. If there is a reason to
+think that a wheel may still be turning, the sentence says so. For example, the stop was not written completely, or the
+board can confirm a stop but has not. If there is no such reason, but the wheels were not observed, the sentence says
+only what is known, for example that the board has confirmed the stop.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ class Halted(Data):
     there: bool = True
     """True if the port exists."""
     why: str = ""
-    """Why no stop could be written; empty if it was written."""
+    """Why no stop could be written. Empty if a stop was written, or if the reason is not known."""
     confirms: bool = False
     """True if this board can confirm a stop."""
     confirmed: bool = False
     """True if the board has answered a question that was sent after the stop."""
     still: bool | None = None
-    """True if the wheels are reported to be at rest after the stop, False if one still turns, None if nothing reports
-    it."""
+    """True if the wheels are reported to be at rest after the stop. False if a wheel is reported to be turning. None if
+    nothing reports about the wheels."""
     by: str = "the board"
     """What reports about the wheels, in words."""
 
@@ -72,5 +73,5 @@ SENTENCES: tuple[tuple[Callable[[Halted], bool], bool, str], ...] = (
     (lambda known: known.confirmed, True, CONFIRMED),
     (lambda _: True, True, UNCONFIRMABLE),
 )
-"""The possible sentences. Each row has a condition, True if the wheels are safe then, and the sentence. The first row
+"""The possible sentences. Each row has three values: a condition, the value of `safe`, and the sentence. The first row
 whose condition holds is used."""

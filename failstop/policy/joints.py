@@ -1,8 +1,8 @@
 """Joints: the settings of each joint of the arm, and where the joint is. Pure.
 
 Positions are in pulses of the servo. Commanded positions have fractions, which are rounded only when a frame is made.
-Rounding them earlier would spoil slow moves. At 0.3 rad/s a step has only 2.9 pulses, and at lower speeds it may have
-less than one.
+Rounding each step of a move would spoil slow moves, because at 0.3 rad/s a step has only 2.9 pulses, and at lower
+speeds it may have less than one pulse.
 """
 
 from __future__ import annotations
@@ -44,14 +44,16 @@ class Joint:
         """The commanded position in pulses, with a fraction. It is valid only while `known` is True."""
         self.velocity = 0.0
         self.known = False
-        """True if the position was read, and nothing but this joint's own moves has changed it since."""
+        """True if the servo's position was read, and since then the joint has moved only as commanded, so `position` is
+        where the joint is."""
         self.loaded: bool | None = None
-        """True if the torque was switched on, and nothing has shown since that it is off. None if the torque was
-        neither read nor switched yet."""
+        """True if the torque is on, as far as is known. False if it is off. None if it is not known, because the torque
+        was neither read nor switched yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
-        """A surprising position that was read once. It counts only if the next reading is the same."""
+        """The newest reading of the position, in pulses. A position counts as measured only if two readings in a row
+        are almost equal, so this reading waits for the next one."""
         self.misses = 0
         """How many questions in a row the servo has not answered."""
         self.temperature_c = self.supply_mv = 0
@@ -67,7 +69,7 @@ class Joint:
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
-        """Convert a change or a rate of the angle to pulses."""
+        """Convert a change of the angle (rad) to pulses, or a rate (rad/s) to pulses/s."""
         return self.sign * angle_rad * self.per_rad
 
     def rad(self, pulses: float) -> float:
@@ -86,28 +88,28 @@ class Joint:
         return (self.name, self.servo, position, *read)
 
     def forget(self) -> None:
-        """Mark the position as unknown, because the joint was stopped or released while it moved. It must be read
-        again."""
+        """Mark the position as unknown, because the joint was stopped or released while it moved. The position must
+        then be read again."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None
 
     def step_towards(self, target: float, share: float, elapsed_s: float) -> None:
-        """Take one step toward a position. `share`: the share of the joint's speed that it may use. The joint slows
-        down in time to stop at the position."""
+        """Take one step toward the position `target`. `share`: the share of the joint's highest speed that the step may
+        use. The joint slows down in time to stop at the position."""
         gap = target - self.position
         wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
         self._step(copysign(wanted, gap), elapsed_s)
 
     def jog(self, rate: float, elapsed_s: float) -> None:
-        """Take one step at this rate (pulses/s). The joint slows down in time to stop at the end of its range."""
+        """Take one step at the rate `rate` (pulses/s). The joint slows down in time to stop at the end of its range."""
         room = (self.high - self.position) if rate > 0 else (self.position - self.low)
         wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
         self._step(copysign(wanted, rate), elapsed_s)
 
     def _stops_within(self, way: float, elapsed_s: float) -> float:
-        """The highest speed, in pulses/s, from which the joint can stop within the distance `way`. `elapsed_s`: the
-        time of a step."""
+        """The highest speed, in pulses/s, from which the joint can stop within the distance `way` (pulses).
+        `elapsed_s`: how long a step takes."""
         ramp = self.acceleration * elapsed_s
         return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
 
@@ -134,8 +136,8 @@ def from_settings(settings: Settings) -> list[Joint]:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """Check that joints may move to these angles. Returns a text about the first joint that may not, with its range;
-    empty if all may."""
+    """Check that joints may move to these angles. Returns a text about the first joint whose angle is not allowed, with
+    the joint's range. Empty if all angles are allowed."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:

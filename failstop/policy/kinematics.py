@@ -1,9 +1,9 @@
 """Kinematics of a wheeled base: converts the velocity of the body to wheel speeds and back, for each layout. Pure.
 
 The body's velocity is x forward, y left, wz counter-clockwise. Wheel speeds are in the order of the ids on the wire,
-and their sign depends on how each motor is mounted. Wheels on two sides are numbered left before right, and front
-before rear. A wheel at rest has the speed +0.0, never -0.0, so that a frame of zeros has the same bytes as the stop
-frame.
+and their sign depends on how each motor is mounted. Four wheels are numbered front left, rear left, front right, rear
+right; two wheels are numbered left, right. A wheel at rest has the speed +0.0, never -0.0, so that a frame of zeros has
+the same bytes as the stop frame.
 """
 
 from __future__ import annotations
@@ -18,31 +18,33 @@ from failstop.policy.settings import Settings, mounted_wheels
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
 WheelSpeeds = tuple[float, ...]
 RimSpeeds = tuple[float, float, float]
-"""How much each m/s of vx, each m/s of vy and each rad/s of wz adds to the speed at the rim of a wheel, m/s."""
+"""Three factors for one wheel: what 1 m/s of vx, 1 m/s of vy and 1 rad/s of wz each add to the speed of the wheel's
+rim, in m/s."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""How much the wheels of a base with two sides take part in sideways motion: FIXED wheels don't, MECANUM wheels do
-fully."""
+"""A factor for the wheels on the two sides of a base: how much a sideways motion of the base turns them. A sideways
+motion does not turn FIXED wheels. It turns MECANUM wheels as fast as a forward motion of the same speed."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
     "omni3": (1.0, 1.0, 1.0),
     ACKERMANN: (1.0, 0.0, 1.0),
 }
-"""For each layout, which of vx, vy and wz the base can follow: 1 if it can, 0 if not. The limit of each direction is
-multiplied by this."""
+"""For each layout, which of vx, vy and wz the base can follow: 1 if it can, 0 if not. The speed limit for each
+direction is multiplied by this factor, so the limit is 0 where the base can't move."""
 
 
 LEAST_PIVOT = 1e-9
-"""If a number is smaller than this share of the largest one, it is taken for a rounding error."""
+"""A number in a matrix that is smaller than this share of the matrix's largest number is taken for a rounding error."""
 
 
 class Chassis:
-    """A base whose wheels have one diameter, and turn in proportion to the velocity of the base."""
+    """A base whose wheels all have the same diameter, and turn in proportion to the velocity of the base."""
 
     __slots__ = ("_back", "_rows", "axes", "rest")
     steers = False
-    """True if the last of the speeds is the angle of the steered wheels, rad to the left."""
+    """True if the last number in a frame of wheel speeds is not a speed, but the angle of the steered wheels (rad,
+    positive to the left)."""
 
     def __init__(
         self,
@@ -53,7 +55,7 @@ class Chassis:
         speeds: int,
     ) -> None:
         """`rows`: the rim speeds of each wheel; `mounted`: the id on the wire and the sign of each wheel; `speeds`: how
-        many speeds a frame has. An id without a wheel gets zero."""
+        many speeds a frame has. The speed for an id that has no wheel is always zero."""
         self.axes = axes
         self.rest = (0.0,) * speeds
         turns_per_m = 1 / (pi * diameter_m)
@@ -64,11 +66,12 @@ class Chassis:
         self._back: tuple[tuple[float, ...], ...] | None = None
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """The factors that convert wheel speeds to the body's velocity. There is a row each for vx, vy (m/s) and wz
-        (rad/s), with a factor for each wheel's turns per second, by wire id.
+        """The factors that convert wheel speeds to the body's velocity. There are three rows, for vx (m/s), vy (m/s)
+        and wz (rad/s). Each row has one factor for each id on the wire, by which the turns per second of that wheel are
+        multiplied.
 
-        The resulting velocity fits all wheels best (least squares). Four mecanum wheels can turn in ways that no motion
-        of the body allows without slip, and this slip is ignored. Raises ValueError if the wheels can't tell the
+        The resulting velocity fits all wheels best (least squares). Four mecanum wheels can turn at speeds that fit no
+        motion of the body, so some wheels slip. This slip is ignored. Raises ValueError if the wheels can't tell the
         directions apart, for example if three omni wheels all roll the same way.
         """
         if self._back is None:
@@ -82,18 +85,18 @@ class Chassis:
         return vx, vy, wz
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity closest to this one that the base can have."""
+        """The velocity closest to `velocity` that the base can have."""
         return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """The speed of each wheel for this velocity, in turns per second by wire id. A part of the velocity that no
-        wheel can follow, such as sideways on fixed wheels, moves nothing."""
+        """The speed of each wheel for this velocity, in turns per second by wire id. A part of the velocity that the
+        wheels can't follow, such as sideways motion with fixed wheels, is ignored."""
         # Adding zero turns -0.0 into +0.0.
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The highest speed that any wheel can reach while the body stays within these limits, turns per second. No
-        limit may be negative."""
+        """The highest speed that any wheel can reach, in turns per second, while the body's velocity stays within the
+        limits that are passed. No limit may be negative."""
         return max(abs(x) * vx_mps + abs(y) * vy_mps + abs(z) * wz_radps for x, y, z in self._rows)
 
 
@@ -112,7 +115,7 @@ class Steered(Chassis):
         self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity closest to this one that the base can have. The forward speed stays the same, and the turn is
+        """The velocity closest to `velocity` that the base can have. The forward speed stays the same, and the turn is
         limited by the largest steering angle."""
         vx, _, wz = velocity
         most = abs(vx) * self._turns_most
@@ -128,13 +131,14 @@ class Steered(Chassis):
 
     @property
     def turns_unseen(self) -> bool:
-        """True if the wheel speeds don't show how the base turns, because it has only one driven wheel. Then only the
-        commanded steering angle shows it."""
+        """True if the wheel speeds don't show how the base turns, because it has only one driven wheel. With only one
+        driven wheel, the commanded steering angle is the only sign of how the base turns."""
         return len(self._rear.rest) == 1
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """As in Chassis.rolled(), from the two rear wheels. The difference of their speeds shows how the base turns,
-        whatever the steering angle is. With one wheel the turn is taken as 0."""
+        """The same factors as in Chassis.rolled(), for the driven rear wheels. With two rear wheels, the difference of
+        their speeds shows how the base turns, whatever the steering angle is. With one rear wheel, the turn is taken as
+        0."""
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
@@ -147,7 +151,8 @@ class Steered(Chassis):
 
 
 def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tuple[float, ...], ...]:
-    """The pseudo-inverse of rows of three numbers. Directions with a factor of 0 in `axes` are left out."""
+    """The pseudo-inverse of the matrix `rows`, which has a row of three numbers for each wheel. Directions with a
+    factor of 0 in `axes` are left out."""
     used = [at for at in range(3) if axes[at]]
     # Gauss-Jordan elimination on the normal equations, with the wheels on the right side.
     table = [[sum(row[a] * row[b] for row in rows) for b in used] + [row[a] for row in rows] for a in used]
@@ -169,16 +174,16 @@ def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tup
 
 def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
     """The rim speeds of two or four wheels on a left and a right side. `lever_m`: the lever arm of each wheel about the
-    middle of the base; `sideways`: FIXED or MECANUM. To move left, the front left and the rear right mecanum wheel turn
-    backward."""
+    middle of the base; `sideways`: FIXED or MECANUM. The signs are for mecanum wheels in the usual mounting: to move
+    left, the front left wheel and the rear right wheel turn backward."""
     sides = (-1.0, 1.0) if wheels == 2 else (-1.0, -1.0, 1.0, 1.0)
     return [(1.0, (side if number % 2 == 0 else -side) * sideways, side * lever_m) for number, side in enumerate(sides)]
 
 
 def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
-    """The rim speeds of omni wheels around the middle of the base. Each wheel rolls in one direction, given in degrees
-    counter-clockwise from forward, and slips in the direction across. If all wheels roll forward, the robot turns
-    counter-clockwise."""
+    """The rim speeds of omni wheels around the middle of the base. Each wheel rolls in one direction, and its rollers
+    let it slide at a right angle to that direction. `ways_deg`: the rolling direction of each wheel, in degrees
+    counter-clockwise from forward. If all wheels roll forward, the robot turns counter-clockwise."""
     # Rounded, so that a wheel that rolls at a right angle to the motion does not turn at all.
     return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
@@ -210,7 +215,8 @@ def of_wheels(
 ) -> Velocity:
     """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers). Raises
     ValueError. `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the
-    left. If it is given, it determines the turn, and the rear wheels determine only the forward speed."""
+    left. If you pass the steering angle, it determines how the base turns, and the rear wheels determine only the
+    forward speed."""
     rps = [0.0] * len(base.rest)
     for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
         rps[id_] = sign * speed / (2 * pi)

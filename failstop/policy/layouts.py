@@ -1,5 +1,6 @@
 """Layouts: how many wheels a robot has, their names, and their settings. Pure. The board determines how many speeds are
-in a frame. The layout determines how many wheels the robot has. A speed for which there is no wheel is zero."""
+in a frame, but the layout determines how many wheels the robot has. If a frame has more speeds than the robot has
+wheels, the speeds that are left over are zero."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""How many wheels each layout may have. On a board that failstop knows, the layout has as many wheels as the frame has
-speeds. On your own board it has the smallest number in this table."""
+"""How many wheels each layout may have. On a board that failstop knows, a base has the largest of these numbers for
+which a frame has enough speeds. On a board that a user has described, a base has the smallest of these numbers."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {
@@ -113,10 +114,12 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
 }
-"""Defaults that depend on the layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), and those of ackermann are
-ROSOrin's. A board may have other defaults for its steered base (Facts.steered_defaults)."""
+"""Defaults that depend on the layout. The defaults for omni3 are those of the robot LeKiwi (lerobot's lekiwi.py), and
+the defaults for ackermann are those of ROSOrin. A board may replace the defaults for ackermann with its own
+(Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""If the settings name no layout, this layout is used for a board with this many speeds."""
+"""The layout that is used if the settings name none. The key is how many speeds a frame of the board has. With any
+other number of speeds, the default of wheels.layout is used."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -124,12 +127,13 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""Settings that exist only for some layouts. Each has the layouts for which it exists."""
+"""Settings that exist only for some layouts. The key is the setting, and the value has the layouts for which the
+setting exists."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:
-    """How many speeds are in a frame for this kind of board, on a base with this layout. Returns None for your own
-    board, because it takes as many speeds as the layout has wheels."""
+    """How many speeds are in a frame for this kind of board, on a base with this layout. Returns None for a board that
+    a user has described, because such a board takes as many speeds as the layout has wheels."""
     facts = facts_of(kind)
     return facts.layouts.get(layout, facts.speeds) if facts else None
 
@@ -141,8 +145,8 @@ def steers(kind: str) -> bool:
 
 
 def drivable(kind: str, speeds: int) -> list[str]:
-    """The layouts that this kind of board can drive. `speeds`: how many speeds are in its frames; only needed for your
-    own board."""
+    """The layouts that this kind of board can drive. `speeds`: how many speeds are in a frame. This is needed only for
+    a board that a user has described."""
     return [
         name
         for name, counts in LAYOUTS.items()
@@ -173,7 +177,7 @@ def wheel_ids(given: Mapping[str, str]) -> list[int]:
 
 def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Fill in the defaults that depend on the layout, and remove settings that this robot does not have. `changed`: the
-    keys that the user has set. Raises SettingError if one of these is a setting that the robot does not have."""
+    keys that the user has set. Raises SettingError if the user has set a setting that the robot does not have."""
     kind = str(values["board.kind"])
     facts = facts_of(kind)
     if facts and not facts.imu:
@@ -214,8 +218,8 @@ def _absent(layout: str, count: int) -> dict[str, str]:
 
 
 def check_base(values: Values) -> None:
-    """Check that each motor has a different id which the board knows, and that the steering servo can reach the largest
-    steering angle. Raises SettingError."""
+    """Check the ids of the motors, and the steering. No two motors may have the same id, the board must know every id,
+    and the steering servo must be able to reach the largest steering angle. Raises SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])

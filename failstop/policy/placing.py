@@ -1,5 +1,6 @@
-"""Placing: explains two mistakes in a settings file. A line can be below the wrong [table], so that TOML reads it as
-part of that table, or a setting can be in the file twice. Imported only after such a mistake."""
+"""Placing: explains two mistakes in a settings file. First, a line can be below the wrong [table], so that TOML reads
+the line as part of that table. Second, a setting or a table can be in the file twice. This module is imported only
+after a settings file has turned out to be wrong."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate
 
 
 class FileLine(Data):
-    """A line of a settings file that begins a table (then `name` is empty) or sets a value."""
+    """A line of a settings file that begins a table or sets a value. For a line that begins a table, `name` is
+    empty."""
 
     number: int
     table: str
@@ -50,9 +52,9 @@ def _bare(name: str) -> str:
 
 
 def meant(key: str, known: Callable[[str], bool]) -> str:
-    """The setting that somebody probably meant when they wrote its whole name below a [table]. For example,
-    `board.kind` below [arm] becomes `arm.board.kind`, and `board.kind` was meant. Empty if the key is a setting, or
-    contains no setting."""
+    """The setting that somebody probably meant by the unknown key `key`. For example, if `board.kind` is written below
+    [arm], TOML reads it as `arm.board.kind`, but `board.kind` was meant. Empty if `key` itself is a setting, or does
+    not end with a setting."""
     if known(key):
         return ""
     parts = key.split(".")
@@ -60,8 +62,9 @@ def meant(key: str, known: Callable[[str], bool]) -> str:
 
 
 def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
-    """A text that names the lines below the wrong [table], and where they belong. Empty if there are none. `keys`: what
-    the file sets, by whole key. `known`: a function that returns True if a setting with that key exists."""
+    """A text that names the lines below the wrong [table], and where they belong. Empty if no line is below the wrong
+    [table]. `keys`: the whole key of every value that the file sets. `known`: a function that returns True if a setting
+    with that key exists."""
     lines = outline(text)
     tables = {line.table: line.number for line in reversed(lines) if not line.name}
     whole = {line.whole: line for line in lines if line.name}
@@ -83,7 +86,8 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """A text about what is in the file twice, if that is what the parser's message `problem` means. Otherwise empty."""
+    """If the message `problem` of the TOML parser means that something is in the file twice, a text about what is in
+    the file twice. Otherwise empty."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

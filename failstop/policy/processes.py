@@ -8,14 +8,14 @@ SUPERVISOR_PRIORITY = 30
 """The supervisor's real-time priority (SCHED_FIFO). A process with a higher priority runs first.
 
 The port owner has the highest priority, because every stop goes through it. The stopper, the gate and then the
-supervisor follow. The supervisor is needed only after another process has died, and its own death must not delay the
-processes that react to it.
+supervisor follow. The supervisor has the lowest priority of these. It is needed only after another process has died,
+and if the supervisor itself dies, the other three must be able to react at once.
 """
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""If the port owner or the supervisor hangs, no wheel turns for longer than this, in ns. The stopper notices a hang of
-the port owner. The supervisor and the port owner also notice if they themselves were held up."""
+"""If the port owner hangs for this long (ns), the stopper stops the robot. The port owner and the supervisor also
+notice if they themselves could not run for this long. If the wheels may turn, they then stop the robot."""
 
 
 class Process(Data):

@@ -18,30 +18,33 @@ LINKS_IN_WORDS = {
 }
 """The text for people about each state of the connection to the board."""
 NOT_CONNECTED = (LINK_DEAF, LINK_SILENT, LINK_UNHEARD)
-"""In these states of the connection, a stop may not reach the wheels, or nobody could see that it did not."""
+"""In these states of the connection, a stop may not reach the wheels, or failstop would not notice if the stop did not
+reach them."""
 WAITS_FOR = {
     LINK_DEAF: "the board, which does not hear",
     LINK_SILENT: "the board, which says nothing any more",
     LINK_UNHEARD: "the board, which has not answered since its port came back",
 }
-"""For the states in NOT_CONNECTED, the text that says what motion is waiting for."""
+"""For each state in NOT_CONNECTED, a text that names what motion is waiting for, and why. The text can follow the words
+"wait for"."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
-"""This text says that the bytes of a stop went to an unknown device, which may not be the board."""
+"""This text follows the time at which a stop was written, if the device on the port may not be the board."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
-"""This text says that the bytes of a stop have not left the kernel, because the board accepts none. With the cdc_acm
-driver the kernel can hold them; a full pty takes none."""
+"""This text says that the bytes of a stop have not left the kernel, because the board accepts none. For example, with
+the cdc_acm driver, the kernel keeps these bytes until the board accepts them."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """What can acknowledge a stop, in words for people. The keys are the words of the board interface."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
-"""The reason why a stop is not acknowledged although the board is connected. This board answers no pings, and it
-reported zero speed already before the stop, or it did not report that it moves."""
+"""The reason why a stop is not acknowledged although the board is connected. A board that answers no pings can
+acknowledge a stop only by reporting that its speed changes to zero. This text is for a stop before which the board did
+not report that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """What can observe the wheels, in words for people. The keys are the words of the board interface. If nothing observes
 the wheels, the text is NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
-"""If the observer saw no motion before the stop either, nothing could be seen to come to rest. This is the text for
-that case. The keys are the observers."""
+"""The text for a stop before which the observer saw no motion. In that case, the observer can't see the wheels come to
+rest. The keys are the observers."""
 ALTHOUGH_TOLD_ZERO = {
     "wheels": "the wheels turn although they are told to stop",
     "IMU": "the robot moves, or is being moved, although its wheels are told to stop",
@@ -52,9 +55,10 @@ WATCHDOGS = {"zero": "it stops its wheels", "coast": "it lets its wheels coast",
 RESOLUTION_S = 0.2
 """How exactly the IMU shows when the wheels came to rest, in seconds."""
 WINDOW_NS = 500_000_000
-"""The length of the window of IMU samples that is judged as one, in ns."""
+"""The IMU's samples are judged in windows of this length, in ns. Each window gives one verdict: still or not."""
 LEAST_SAMPLES = 20
-"""A window with fewer samples (an IMU below 40 Hz) is not judged, because their standard deviation is too inexact."""
+"""A window with fewer samples than this is not judged, because the standard deviation of so few samples is too inexact.
+So an IMU needs at least 40 samples per second."""
 
 
 HEARD_LATE = " (heard once telemetry was back)"
@@ -64,24 +68,26 @@ The board may have answered earlier, and the wheels may have stopped earlier, th
 
 def heard_late(process: object) -> str:
     """A text to add to the time of an answer after a stop. `process`: the process that the cause of the stop is about.
-    If that is telemetry, the answer was received late, and the text is HEARD_LATE. Otherwise it is empty."""
+    If this process is telemetry, the answer was received late, so the text is HEARD_LATE. For every other process the
+    text is empty."""
     return HEARD_LATE if process == "telemetry" else ""
 
 
 def observer(boards: str, *, imu: bool) -> str:
-    """What observes that the wheels are at rest. `boards`: the board interface's name for its observer. Empty if that
-    is an IMU, and the robot has none."""
+    """What observes whether the wheels are at rest: `IMU` or `wheels`. `boards`: what the board interface names as the
+    observer. Empty if the board interface names the IMU, but the robot has no IMU."""
     return boards if imu or boards != "IMU" else ""
 
 
 def still_after(seconds: float, less: str = "less than") -> str:
-    """How long it took until the wheels were still, as text. It has no more digits than are known."""
+    """How long it took until the wheels were still, as text. The text has no more digits than the measurement
+    justifies."""
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
 def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
-    """A text that follows the name of the wheels, and says how long it took until they were still. If `seconds` is 0,
-    the observer saw no motion before the stop either, and the text says so."""
+    """A text that follows the word "wheels", and says how long it took until the wheels were still. If `seconds` is 0,
+    the observer already saw no motion before the stop, and the text says that instead."""
     return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
 
 

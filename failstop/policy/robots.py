@@ -1,7 +1,8 @@
 """Robots: the robots of Hiwonder's RRC family, with the default settings of each. Pure.
 
-The figures come from each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py). A
-figure is None if no source gives it, or two sources disagree. You must then measure it on your robot.
+The default settings, such as the size of the wheels, come from each robot's own ROS 2 packages (controller:
+odom_publisher_node.py, mecanum.py, ackermann.py). A default is None if no source has the value, or if two sources
+disagree. You must measure such a value on your robot.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def _steering(per_rad: float, sign: int | None, most_deg: float) -> Defaults:
 
 
 LEFT_BACKWARD = _signs(-1, -1, 1, 1)
-"""On these robots, all motors are mounted the other way round than on ROSOrin."""
+"""Signs for robots on which all motors are mounted the other way round than on ROSOrin."""
 MENTORPI = _sizes(0.065, 0.1368, 0.1446) | LEFT_BACKWARD
 ROBOTS: dict[str, dict[str, Defaults]] = {
     USUAL_ROBOT: {
@@ -62,17 +63,17 @@ UNDRIVEN = {
     "turbopi": "its own program sets duties, never speeds: after a stop of speeds a motor without an encoder goes on "
     "turning; where its motors have encoders, leave this name out and set device.path and [wheels]",
 }
-"""Robots of the family that failstop can't drive, each with the reason."""
+"""Robots of Hiwonder's RRC family that failstop can't drive, each with the reason."""
 LAYOUT_OF = {"jetacker": "ackermann"}
-"""The layout of robots that have only one layout, if it is not the usual one."""
+"""The default layout of a robot that exists only with a layout other than mecanum."""
 
 
 EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 
 def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
-    """Fill in the figures of this robot. Raises SettingError if the robot can't be driven, or if you must measure a
-    figure."""
+    """Fill in the defaults of the robot that the settings name, for every setting that the user has not set. Raises
+    SettingError if failstop can't drive that robot, or if no source has a value, so that you must measure it."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
     if robot in UNDRIVEN:
         raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')

@@ -1,10 +1,11 @@
-"""Scale: checks how many of the board's speed units make one wheel turn per second (the setting board.per_rps). Until a
-person has confirmed that number, the robot may only drive slowly. Pure.
+"""Scale: checks the setting board.per_rps, which is the scale of the wheels: the speed, in the board's unit, that means
+one turn of a wheel per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
 
-If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows this, because the board uses
-the same wrong scale for commands and reports, so they always agree. Only a person who sees the wheel can tell. So the
-robot drives slowly until a person has watched a wheel turn; it is not enough to write the number into the settings. If
-the board reports in another unit, or a gyro measures the turn, failstop also compares measured with commanded speeds.
+If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows that the scale is wrong,
+because commands and reports use the same wrong scale, so they always agree. Only a person who looks at the wheel can
+tell. So the robot drives slowly until a person has watched a wheel turn; it is not enough to write the number into the
+settings. If the board reports in a different unit than the one for commands, or if a gyro measures how the robot turns,
+failstop also compares the measured speeds with the commanded speeds.
 """
 
 from __future__ import annotations
@@ -16,30 +17,32 @@ from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
 PER_RPS_CONFIRMED = "board.per_rps_confirmed"
-"""The setting with the confirmed number. It counts only if PER_RPS has the same number."""
+"""The setting with the number that a person has confirmed. The confirmation counts only if the setting PER_RPS has the
+same number."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
-"""The highest speeds that are allowed while the scale is not confirmed. Even if the scale is five times too large, 0.05
-m/s becomes no more than 0.25 m/s, the reduced speed at which people may work beside a machine (ISO 10218-1)."""
+"""The highest speeds that are allowed while the scale is not confirmed. They are so low because the scale may be wrong.
+Even if it is five times too large, the robot drives no faster than 0.25 m/s, the reduced speed at which people may work
+beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""How much faster or slower than commanded a wheel may turn, as a factor. The value for True is for a board that holds
-the commanded speed. The value for False is for a board that only sets a voltage, because its wheels turn faster
-downhill and slower under load."""
+"""The largest allowed factor between the measured and the commanded speed of a wheel, in either direction. The value
+for True is for a board that holds the commanded speed. The value for False is for a board that only sets a voltage. The
+value for False is larger, because with a constant voltage the wheels turn faster downhill and slower under load."""
 GYRO_FITS = (1 / 1.6, 1.25)
 """The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
 below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""
 FITS = 1.25
-"""If a speed differs by more than this factor, people get a remark, even if a healthy robot could show this
-difference."""
+"""If a measured speed differs from the commanded speed by more than this factor, people get a remark, even if the robot
+may be healthy. For example, a slope can cause such a difference."""
 ON_A_STAND = 0.1
-"""If the gyro measures less than this share of the commanded turn, it says nothing about the scale. The robot is then
-probably on a stand, or somebody holds it."""
+"""If the gyro measures less than this share of the commanded turn rate, the measurement says nothing about the scale.
+The robot is then probably on a stand, or somebody holds it."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:
-    """The settings with lower speed limits if the scale is only `assumed`. Otherwise the settings are returned
-    unchanged."""
+    """Return the settings with lower speed limits if nobody has confirmed the scale (`assumed`). If somebody has
+    confirmed it, return the settings unchanged."""
     if not assumed:
         return settings
     found = Settings.from_lines(settings.lines())
@@ -60,17 +63,18 @@ def near(ratio: float, factor: float) -> bool:
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """A text for people if the wheels turn at `ratio` times the commanded speed and board.per_rps must be wrong. It
-    names the value that would fit. Empty if the difference can have another reason. `per_rps`: the present value, in
-    the board's unit."""
+    """A text for people if the wheels turn at `ratio` times the commanded speed, and this is so far off that
+    board.per_rps must be wrong. The text names the value of board.per_rps that would fit. Empty if the difference is
+    small enough to have a harmless reason, such as a slope. `per_rps`: the present value, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """A remark for people if the wheels turn at `ratio` times the commanded speed, but this may have a harmless reason,
-    such as a slope. Empty if the difference is small. `per_rps`: the present value, in the board's unit."""
+    """A remark for people if the wheels turn at `ratio` times the commanded speed. The remark says that the difference
+    may have a harmless reason, such as a slope. Empty if the difference is small. `per_rps`: the present value, in the
+    board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -82,8 +86,9 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """A text for people if the gyro shows that the robot turns `ratio` times as fast as commanded, and a setting must
-    be wrong. It names the settings to check. Empty if the difference can have another reason."""
+    """A text for people if the gyro shows that the robot turns `ratio` times as fast as commanded, and this is so far
+    off that a setting is probably wrong. The text names the settings to check. Empty if the difference is small enough
+    for tracks or skidding wheels, or if the robot hardly turns at all (see ON_A_STAND)."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -91,8 +96,9 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """A remark for people if the robot turns `ratio` times as fast as commanded, but skidding tracks or wheels may be
-    the reason. Empty if the difference is small."""
+    """A remark for people if the gyro shows that the robot turns `ratio` times as fast as commanded. The remark says
+    that tracks or skidding wheels may be the reason. Empty if the difference is small, or if the robot hardly turns at
+    all (see ON_A_STAND)."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"

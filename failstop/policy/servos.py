@@ -1,4 +1,5 @@
-"""Servos on a bus: their loads and temperatures by the part that each turns, and texts about them for people. Pure."""
+"""Servos on a bus: the load and the temperature of each servo, with the name of the part that the servo turns, and
+texts about servos for people. Pure."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The ids of the servos on the bus that turn the wheels. On a board whose motor controllers report for themselves,
-    these are the ids of the controllers. Empty on other boards."""
+    """The ids of the servos on the bus that turn the wheels. On boards whose motor controllers report their own load
+    and temperature, the result has the ids of these controllers instead. Empty on every other board."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]
@@ -60,15 +61,16 @@ WRONG = {
 
 
 def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, str]:
-    """What is wrong with each servo that reports an error or does not answer. The key is the part that it turns."""
+    """What is wrong with each servo that reports an error or does not answer. The key is the name of the part that the
+    servo turns."""
     parts = _parts(settings)
     found = {parts.get(servo, f"servo {servo}"): bits for servo, _, _, bits in rows if bits}
     return {part: " and ".join(text for bit, text in WRONG.items() if bits & bit) for part, bits in found.items()}
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """If some wheels' servos answer and others don't, the name of the first wheel whose servo doesn't, for example
-    `rear wheel (servo 8)`. Otherwise empty."""
+    """If the servos of some wheels answer, but not the servos of all wheels, the name of the first wheel whose servo
+    does not answer, for example `rear wheel (servo 8)`. Otherwise empty."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 

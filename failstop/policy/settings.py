@@ -357,11 +357,11 @@ class Settings:
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
         """Check the changed values, and fill in the defaults of all others. Raises SettingError, whose message lists
-        all unknown keys, wrong types and values out of range. If there are none, it names values that contradict each
-        other.
+        the unknown keys, wrong types and values out of range. It lists at most MOST_TOLD of them, and says how many
+        more there are. If there are no such mistakes, the message names values that contradict each other.
 
-        `changed` has the values by key. An empty dict as a value is an empty table, for example a source with only
-        defaults.
+        `changed` has the values by key. If a value is an empty dict, it declares a table without settings of its own,
+        for example a source that uses only the defaults.
         """
         self.values: dict[str, float | str] = {setting.key: setting.default for setting in DECLARED}
         # family, name and key of each value in the named tables
@@ -421,7 +421,7 @@ class Settings:
                 tables[name] = table
 
     def _cross_check(self) -> None:
-        """Check that values which are each allowed also fit together."""
+        """Each value alone is already checked. Check that the values also fit together."""
         every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [
@@ -486,7 +486,8 @@ class Settings:
         return dict(sorted(found.items(), key=lambda source: -source[1][0]))
 
     def interlocks(self) -> dict[str, tuple[int, str]]:
-        """The interlocks by name, with their (timeout_ns, the text of a refused enable)."""
+        """The interlocks by name, each with its timeout in ns, and with the text that people get if enable is refused
+        because of this interlock."""
         return {
             name: (round(float(own["timeout_s"]) * 1e9), str(own["refusal"]) or f"interlock {name} is not satisfied")
             for name, own in self.named["interlocks"].items()
@@ -494,9 +495,9 @@ class Settings:
 
     def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int, int]:
         """The arguments of board_of() in failstop/board/kinds.py. They are the kind of board; the wheel diameter in m;
-        how many of the board's speed units make one wheel turn per second (0 for the board's usual number); the servo
-        of a steered base; the confirmed value of the number of units (0 if not confirmed); the baud rate (0 for the
-        usual one); the CAN id of the second motor; and how many speeds a frame has."""
+        the setting board.per_rps (0 for the board's usual value); the servo of a steered base; the setting
+        board.per_rps_confirmed (0 if nobody has confirmed board.per_rps); the baud rate (0 for the usual one); the CAN
+        id of the second motor; and how many speeds a frame has."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -563,8 +564,8 @@ def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFac
 
 
 def declaration(key: str) -> Setting:
-    """The declaration of the setting with this key, also for a key in a named table. Raises SettingError if there is
-    none."""
+    """The declaration of the setting with this key. The key may also be in a named table, for example
+    sources.NAME.priority. Raises SettingError if no such setting exists."""
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
@@ -575,7 +576,8 @@ def declaration(key: str) -> Setting:
 
 
 def is_setting(key: str) -> bool:
-    """True if a setting with this full key exists, also in a named table."""
+    """True if a setting with this full key exists. The key may also be in a named table, for example
+    sources.NAME.priority."""
     family, _, rest = key.partition(".")
     return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
 
