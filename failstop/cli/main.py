@@ -209,8 +209,8 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """Print an error whose message is meant for people, and return its exit code. Any other error is a bug, so it is
-    raised again."""
+    """If the message of this error is meant for people, print the message and return the error's exit code. Any other
+    error is a bug, so it is raised again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
@@ -233,7 +233,7 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Advice if there were too many open files, also if that has led to another error. Empty for any other error."""
+    """Advice if `error` was raised because too many files were open, even indirectly. Empty for any other error."""
     import resource
 
     from failstop.procs.rights import no_descriptors

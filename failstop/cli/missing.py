@@ -21,8 +21,8 @@ there is no such package)."""
 
 
 def text(error: ImportError) -> str:
-    """A text that says what is missing, for which Python, and how to install it. Empty if a module of failstop itself
-    is missing, because that is a bug."""
+    """A text that says which package is missing, for which Python, and how to install the package. Empty if a module of
+    failstop itself is missing, because that is a bug."""
     module = (error.name or "").partition(".")[0]
     if module == "failstop":
         return ""

@@ -27,8 +27,8 @@ def fill() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error; on a terminal it is wrapped at spaces. Never raises, because even with a full
-    disk or a closed terminal the command must go on."""
+    """Print a line on standard error. If standard error is a terminal, the line is wrapped at spaces. Never raises,
+    because even with a full disk or a closed terminal the command must go on."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
@@ -37,8 +37,8 @@ def say(text: str) -> None:
 
 
 def print_line(text: str) -> None:
-    """Print a line about something that was done. It goes to standard output, or if that fails to standard error. Never
-    raises."""
+    """Print a line about something that was done. It goes to standard output. If standard output can't be written, it
+    goes to standard error. Never raises."""
     try:
         sys.stdout.write(folded(text) + "\n")
         sys.stdout.flush()
@@ -48,7 +48,7 @@ def print_line(text: str) -> None:
 
 
 def folded(text: str) -> str:
-    """The text as it is printed on standard output: on a terminal, it is wrapped at spaces."""
+    """The text as it is printed on standard output. If standard output is a terminal, the text is wrapped at spaces."""
     from failstop.supervisor.events import fitted
 
     return fitted(text, 1, 2)

@@ -26,13 +26,13 @@ PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
 """The colour of each role. These are colours of the 256-colour palette, because a terminal's theme does not change
-them. All can be read on black and on white (their contrast is at least 3.8, while a theme's yellow may have 1.1 on
-white). A console with fewer colours shows the closest one."""
+them. All can be read on black and on white, because their contrast is at least 3.8. The yellow of a terminal's theme
+may have a contrast of only 1.1 on white. A console with fewer colours shows the closest one."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
-"""Matches a text that people copy, so it is never broken across lines: a command with a path, or a JSON frame of the
-board."""
+"""Matches a text that people copy, which must not be broken across lines. Such a text is a command with a path, or a
+JSON frame of the board."""
 _UNIT = f"(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\\w/])"
 _WORD = re.compile(f"(?:`[^`]*`|pid [0-9]+|[0-9] {_UNIT}|[^ ])+ *| +")
 """Matches one word with the spaces after it. Some texts with spaces count as one word: a command in backquotes, a
@@ -43,7 +43,7 @@ _NUMBER = re.compile(" *[0-9]+[.] +")
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
-    """True if this is a terminal and the variable TERM says that it understands escape sequences."""
+    """True if `terminal` is True and the variable TERM says that the terminal understands escape sequences."""
     return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
 
 
@@ -79,7 +79,8 @@ def cells(text: str) -> int:
 
 
 def cut(text: str, columns: int) -> str:
-    """The beginning of the text, as far as it fits into this many columns. If it was cut, it ends with an ellipsis."""
+    """The text if it fits into this many columns. If it is too long, the beginning of the text, with an ellipsis at the
+    end."""
     if cells(text) <= columns:
         return text
     while cells(text) >= max(1, columns):
@@ -93,7 +94,7 @@ def plain(line: Line) -> str:
 
 
 def painted(line: Line, columns: int | None = None) -> str:
-    """A line as text with colours, cut to `columns`. If `columns` is None, it is not cut."""
+    """A line as text with colours, cut to `columns`. If `columns` is None, the line is not cut."""
     parts = []
     for text, role in line:
         if columns is not None:
@@ -150,7 +151,8 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _pieces(text: str, room: int) -> Iterator[str]:
     """Split a text into the pieces that may not be broken, each with the spaces after it. These are words, and commands
-    that fit into `room` columns. A word that is too long is split into letters, except if people copy it."""
+    that fit into `room` columns. A word that is too long is split into letters, unless it is a text that people copy,
+    such as a command."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if _WHOLE.search(word):
@@ -185,8 +187,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """The lines that fit on the screen. If there are too many, empty lines are dropped first, and then the last lines.
-    In that case a line at the end says how many are missing."""
+    """The lines that fit on the screen. If there are too many lines, the empty lines are dropped first. If there are
+    still too many, the last lines are dropped, and a line at the end says how many lines are missing."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

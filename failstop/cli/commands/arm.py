@@ -33,7 +33,7 @@ WHAT = (
     "drive, tuck: go to the pose of that name; hold: stop where the arm is; release: switch off the torque, so the arm "
     "falls; read: ask the servos where they are, then show the status"
 )
-"""The help text about what each of VERBS does."""
+"""The help text that explains each verb in VERBS, for example `move`."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -1,5 +1,5 @@
-"""`failstop attend`: an operator at a terminal confirms to be present. Some robots are allowed to move only while an
-operator is present."""
+"""`failstop attend`: proves to the service that an operator sits at a terminal. Some robots are allowed to move only
+while an operator is present."""
 
 from __future__ import annotations
 
@@ -29,21 +29,24 @@ failstop attend --as Anna
 
 PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
-"""Programs that answer for the terminal even if nobody sits at it, by the names of their processes."""
+"""Programs such as tmux, which answer for the terminal even after the operator has closed it, so an absent operator
+would count as present. Each name of a process has the program's name for people."""
 PLACES = 60
-"""How many different columns the cursor is put into, one after the other. There is a question every 0.1 s, so a column
-is used again after 6 s."""
+"""How many columns the cursor visits before it returns to the first. The command moves the cursor and asks the terminal
+for its position every 0.1 s, so it returns to a column after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
-"""Matches the first part of an answer whose rest has not arrived yet."""
+"""Matches the beginning of an answer of the terminal, if the rest of the answer has not arrived yet."""
 
 
 class Questions:
-    """Proves that a terminal is still at the other end of a connection, such as ssh. Pure, because times are arguments.
+    """Asks a terminal for its cursor's position, which proves that the terminal is still at the other end of a
+    connection such as ssh. The class is pure, because the times are arguments.
 
-    Each question moves the cursor to another column, and asks the terminal where the cursor is. The terminal answers by
-    itself, in the order of the questions. So an answer belongs to the oldest open question with that column, even if it
-    comes late. A late answer proves only that the terminal was there when the question was asked.
+    Each question moves the cursor to a new column, and asks the terminal where the cursor is. The terminal answers the
+    questions in their order, without a person. So an answer belongs to the oldest unanswered question about the column
+    that the answer reports, even if the answer comes late. A late answer proves only that the terminal was there when
+    the question was asked.
     """
 
     def __init__(self) -> None:
@@ -51,7 +54,8 @@ class Questions:
         self._number = 0
         self._rest = b""
         self.proven_ns = 0
-        """The time of the newest question that has an answer (CLOCK_MONOTONIC, ns). 0 if there is no answer yet."""
+        """When the newest of the answered questions was asked (CLOCK_MONOTONIC, ns). 0 until the terminal has
+        answered."""
 
     def ask(self, now_ns: int, row: int) -> str:
         """Make the next question, as text to write to the terminal."""
@@ -61,7 +65,8 @@ class Questions:
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """Take the terminal's answers out of its bytes. Returns the rest, which a person has typed."""
+        """Handle the answers in the bytes that the terminal has sent. Returns the bytes without the answers, which a
+        person has typed."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._answered(int(found[2]))
@@ -84,7 +89,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. It ends when q is typed, a signal arrives, or the connection ends. Raises FailstopError."""
+    """Run the command until the operator types q, a signal arrives, or the connection ends. Raises FailstopError."""
     if other := _between():
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
@@ -109,8 +114,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """The name of a program above this process that would answer for the terminal, for example tmux. Empty if there is
-    none."""
+    """The name of a program, for example tmux, that runs this process and would answer for the terminal. Empty if no
+    such program runs this process."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):
         while process := process.parent() if process else None:

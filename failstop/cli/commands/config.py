@@ -74,7 +74,8 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
         "ros2": {"timeout_s": 0.3, "refusal": "the ROS 2 bridge is away, or two nodes publish cmd_vel"},
     },
 }
-"""Examples of tables whose names the user chooses. Without a settings file they don't exist."""
+"""Examples of tables whose names the user chooses, such as a joint that the user calls `shoulder`. failstop has no such
+table unless a settings file defines it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -126,7 +127,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _fastest(settings: Settings, metres: float) -> str:
-    """A text that says how fast the robot may drive if it must stop within this distance."""
+    """A text that says how fast the robot may drive if it must stop within the distance `metres`."""
     if not metres > 0:
         raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
     _, latest = distance.furthest(settings)
@@ -170,9 +171,10 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """The text of an example settings file, with every default and some sample tables. All of it is commented out, so
-    that no default is kept when a later version changes it. Every setting has its whole key, without a [table] line,
-    because a line that somebody adds below a [table] would belong to that table."""
+    """The text of an example settings file, with every default and some sample tables. Every line is a comment.
+    Otherwise a copy of the file would keep an old default after a later version of failstop has changed the default.
+    Every setting has its whole key, without a [table] line, because a line that somebody adds below a [table] would
+    belong to that table."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {
@@ -203,8 +205,8 @@ def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
 
 
 def literal(setting: Setting, value: float | str) -> str:
-    """A setting's value in TOML. A text must be printable, without quotes and backslashes, as all declared texts
-    are."""
+    """A setting's value in TOML. If the value is a text, it must be printable and contain no quotes and no
+    backslashes."""
     if isinstance(value, str):
         return f'"{value}"'
     return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)

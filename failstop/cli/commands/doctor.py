@@ -1,4 +1,5 @@
-"""`failstop doctor`: shows what on this computer makes failstop less reliable, with the command that helps."""
+"""`failstop doctor`: shows problems of this computer that make failstop less reliable, each with a command that
+helps."""
 
 from __future__ import annotations
 
@@ -37,11 +38,12 @@ SHOWN = {
     SKIP: (style.DIM, "not known"),
     OK: (style.OK, "fine"),
 }
-"""How each level is shown: its colour, and the word for the number of findings of this level."""
+"""How findings of each level are shown: their colour, and the word that follows their number in the summary, for
+example "2 failed"."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
 """Settings that the report leaves out, because their values may contain a password or show where the robot is."""
 UNBROKEN = 1 << 16
-"""A width at which no line is ever wrapped."""
+"""A number of columns that is so large that no line is ever wrapped."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -84,8 +86,8 @@ def main(arguments: Namespace) -> int:
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
-    """The text of a report that can be sent to others. It has the findings, versions, settings and the last incident,
-    but not the values of WITHHELD and not the name of this computer."""
+    """The text of a report that can be sent to others. It has the findings, versions, settings and the last incident.
+    It leaves out the values of the settings in WITHHELD, and the name of this computer."""
     try:
         with files.as_written(meant := files.find(files.LAST, look.name, os.environ)):
             incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))

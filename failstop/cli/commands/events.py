@@ -27,7 +27,7 @@ failstop events --json | jq -r .text   # for programs
 """
 
 AGAIN_S = 0.5
-"""While no service is running, look for one this often, in seconds."""
+"""The time between two attempts to find a running service, in seconds."""
 UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -90,14 +90,14 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """A line that says how far the wall clock has jumped between two events; empty if it has not. People must know
-    that, because then they can't compare the times of day before and after the jump."""
+    """A line that says how far the wall clock has jumped between two events. People must know about a jump, because the
+    times of day before it can't be compared with those after it. The list is empty if the clock has not jumped."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
-    """An event as lines for people, wrapped to this many columns. If `columns` is None, it is one line of any
+    """An event as lines for people, wrapped to this many columns. If `columns` is None, the result is one line of any
     length."""
     line = summary.event(event, now_s)
     indent = sum(style.cells(text) for text, _ in line[:2])
@@ -113,8 +113,8 @@ def kinds(text: str) -> frozenset[str]:
 
 
 def since(text: str, now_s: float) -> float:
-    """The Unix time at which an age such as `30s`, `10m` or `1.5h` began. Raises FailstopError if the text is not an
-    age."""
+    """The Unix time that lies `text` before the present. For example, the text `10m` means ten minutes ago. Raises
+    FailstopError if the text is not an age."""
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():

@@ -35,10 +35,9 @@ WHICH = (
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
-"""How long to wait for the file of a stop, in seconds. The service saves it 2.4 s after the stop."""
+"""How long after a stop to wait for its incident file, in seconds. The service saves the file 2.4 s after the stop."""
 TOGETHER_NS = 500_000_000
-"""If the service's last stop came at most this long (ns) after the latched stop, it is part of the same incident, so
-there is no other file for it."""
+"""Two stops that are at most this far apart (ns) belong to one incident, so one file has both of them."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -83,8 +82,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
-    """The lines to print about an incident. If the command is plot or export, it writes the file, and the lines name
-    it. Raises IncidentError."""
+    """The lines to print about an incident. If the action is plot or export, this also writes the file, and the lines
+    name the file. Raises IncidentError."""
     if arguments.action == "show":
         if arguments.json:
             return record(story.as_dict(incident))
@@ -101,8 +100,8 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """The reason why the times of day in an incident may be wrong, because the clock was set. Empty if there is no such
-    reason. It is found by comparison with the other saved incidents."""
+    """A warning that the times of day in an incident may be wrong, because somebody has set the clock. A comparison of
+    all saved incidents shows whether the clock was set. Empty if it was not."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -121,8 +120,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """The path of the file of the incident that the user means. If the robot was stopped a moment ago and the user
-    means the last incident, this waits for its file. Raises IncidentError."""
+    """The path of the file of the incident that the user means. The user may mean the last incident while the service
+    is still saving it. In that case this waits for the file. Raises IncidentError."""
     # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
@@ -142,8 +141,9 @@ def _meant(arguments: Namespace) -> str:
 
 
 def _newer(name: str, stop: Stop | None) -> str:
-    """A text about something that happened after the newest saved incident, and the reason why no file has it. Empty if
-    nothing is known to have happened. `stop`: the service's last stop, if it is not in any file."""
+    """A text that says what has stopped the wheels since the newest saved incident, and why no incident file has this
+    stop. Empty if nothing is known to have stopped the wheels since the newest saved incident. `stop`: the service's
+    last stop if no file has it, else None."""
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
@@ -153,8 +153,9 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """A text that says when the wheels were last stopped without a latched stop. It also says that such a stop has no
-    incident. Empty if nothing has stopped them since the last latched stop, or if a stop is latched at present."""
+    """A text that says when and why the wheels were last stopped without latching a stop, for example because motion
+    was disabled. The text also says that no incident was saved, because only a latched stop has an incident. Empty if
+    nothing has stopped the wheels since the last latched stop, or while a stop is latched."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:
@@ -166,7 +167,7 @@ def unlatched(name: str) -> str:
 
 
 def unsaved(name: str) -> Stop | None:
-    """The service's last stop, if it is not saved in any file; else None."""
+    """The service's last stop. None if the stop is saved in an incident file, or if no stop is known."""
     try:
         state, run = StateReader(name).read(), client.run(name)[0].rpartition(".")[2]
     except FailstopError:
@@ -182,7 +183,8 @@ def unsaved(name: str) -> Stop | None:
 
 
 def failed(name: str, stop: Stop) -> str:
-    """The reason why the service could not save the incident of its last stop. Empty if it has reported none."""
+    """The reason why the service could not save the incident of its last stop. Empty if the service has reported no
+    failure."""
     try:
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:

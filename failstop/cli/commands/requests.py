@@ -47,12 +47,12 @@ ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
-"""How long to wait after a process has died, in seconds. The process has normally been restarted by then, so the
-message need not say to wait for it."""
+"""How long to wait before printing why the wheels are blocked, in seconds. A process that has died has normally been
+restarted by then. So the message need not tell the user to wait for the restart."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Define the options of one of these commands. The parser's name ends with the command."""
+    """Define the options of one command, for example `drive`. The name of the parser ends with the command's name."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
         add(
@@ -97,8 +97,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _limit(robot: Robot, percent: float | None) -> str:
-    """Set the speed limit, or with `percent` None return a text about the present limit. Raises Refused for a value
-    that is not a percentage; the gate refuses limits that are too low."""
+    """Set the speed limit. If `percent` is None, only return a text about the present limit. Raises Refused if
+    `percent` is 0 or less, or more than 100. Also raises Refused if the limit is too low for the gate."""
     if percent is None:
         now = robot.state.speed_limit
         return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
@@ -109,8 +109,8 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
     """Drive at a velocity for some time, and then command zero. These are manual commands, because a person has typed
-    them. Raises Refused as soon as something blocks the wheels or another source drives. Also raises it if no command
-    has moved the wheels."""
+    them. Raises Refused as soon as something blocks the wheels, or a source with a higher priority drives. At the end,
+    raises Refused if none of the commands was passed on to the wheels."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
@@ -137,8 +137,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
 
 
 def _blocked(robot: Robot) -> Refused | None:
-    """The reason why a drive command would move nothing at present, with the command that helps. None if it would move
-    the robot."""
+    """The reason why a drive command can't move the robot at present, with the shell command that helps. None if the
+    robot can be driven."""
     state = robot.state
     if state.cause:
         return Refused(IS_LATCHED, state.cause, steps.line(state))

@@ -1,5 +1,5 @@
-"""`failstop run`: runs the service in the foreground. Before anything can make it fail, it writes a stop to the
-port."""
+"""`failstop run`: runs the service in the foreground. First of all it writes a stop to the port, before it does
+anything that may fail."""
 
 from __future__ import annotations
 
@@ -68,8 +68,9 @@ def main(arguments: Namespace) -> int:
 
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
-    """Decide to which port and for which board the first stop is written. The settings file says so, even if other
-    settings in it are wrong. If the file can't be read, the stop of the last run is used, or else the defaults.
+    """Decide to which port and for which board the first stop is written. The settings file decides, even if it also
+    has settings that are wrong. If the file can't be read, the saved stop of the last run is used. If no stop was
+    saved, the default settings are used. The option --device overrides the port in every case.
 
     Returns the port; the board; the settings in the file, unchecked, or None if they can't be read; and a text about
     the port, to print after the stop. Raises FailstopError.
@@ -103,7 +104,7 @@ def _read(path: str | None) -> dict[str, object] | None:
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
-    """Become the supervisor. This returns only if the port can't be used and nothing else is wrong. Raises one of
+    """Become the supervisor. If the port can't be used, this checks everything else and returns. Raises one of
     REFUSALS."""
     from failstop.supervisor import fit, status  # imported only here, so that the first stop does not wait for them
 

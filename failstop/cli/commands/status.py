@@ -1,4 +1,5 @@
-"""`failstop status` shows the state, with `-w` live. `failstop why` says in a few lines why the wheels are stopped."""
+"""`failstop status` shows the state once, and `failstop status -w` shows it live. `failstop why` says in a few lines
+why the wheels are stopped."""
 
 from __future__ import annotations
 
@@ -40,14 +41,15 @@ MOST_COLUMNS = 100
 LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
-"""The most values that a sparkline can show. On a wider terminal the rest of its row stays empty."""
+"""The largest number of values that a sparkline can show. If the terminal is wider, the right part of the sparkline's
+row stays empty."""
 SLOW_S = 0.5
 """How often ages and the process table are redrawn, in seconds. Digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
 TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
 NAMES = 32
-"""The number of columns before a sparkline."""
+"""The width of the text to the left of a sparkline, in columns."""
 BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -62,7 +64,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. If the service has died, raises NoService with what is still known about it."""
+    """Run the command. If the service has died, `failstop why` prints what is still known about it and returns an error
+    code, and `failstop status` raises NoService. Both raise NoService if there was no service."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -95,7 +98,8 @@ def _why(name: str, *, as_json: bool) -> int:
 
 
 def _watch(name: str) -> int:
-    """Show the state live. If q ends it, the exit code is 0, else 128 plus the number of the signal."""
+    """Show the state live until the user types q or a signal arrives. The exit code is 0 after q. After a signal it is
+    128 plus the signal's number."""
     from failstop.cli.screen.terminal import Terminal
 
     follower, live = Follower(name), Live(name)
@@ -188,8 +192,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """The last events, one in each row, as many as fit into `room` rows. Their next steps are left out, because the
-    next step is shown higher up on the screen."""
+    """The last events, one in each row, as many as fit into `room` rows. The rows don't say what to do next, because
+    the screen already says so higher up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

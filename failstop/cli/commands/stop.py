@@ -1,6 +1,6 @@
-"""`failstop stop`, also called `failstop estop`. It asks the running service to stop the robot. If no service is
-running, or if the service does not stop the robot, it writes the stop to the port itself. So it works even if
-everything else has failed."""
+"""`failstop stop`, also called `failstop estop`. This command asks the running service to stop the robot. If no service
+is running, or if the service does not stop the robot, the command writes the stop to the port itself. So the command
+works even if everything else has failed."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_I
 
 END_SERVICE_S = 12.0
 """How long the whole command may take with --end-service, in seconds. The limit is shorter than TimeoutStopSec of the
-systemd unit, because after that time systemd would kill this program before it has killed the rest of the service."""
+systemd unit, because systemd kills this program after TimeoutStopSec, whether or not the program has finished."""
 STALLED_S = 1.0
-"""How much of END_SERVICE_S may be spent on a port that exists but accepts no bytes, in seconds. When the service has
-ended, another unit goes on trying."""
+"""How much of END_SERVICE_S may be spent on a port that exists but accepts no bytes, in seconds. After that time this
+program gives up, and the systemd unit failstop-late@ keeps trying to write the stop."""
 REST_S = 1.0
-"""How long to wait for killed processes to end, in seconds. A write to a port that hangs can delay their end."""
+"""How long to wait for killed processes to end, in seconds. A killed process ends late if it is writing to a port that
+hangs."""
 
 EXAMPLES = """\
 failstop stop
@@ -56,7 +57,7 @@ failstop stop --config /etc/failstop/failstop.toml
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Define the options of both commands."""
+    """Define the options of `failstop stop`, which `failstop estop` has too."""
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
     parser.add_argument("reason", nargs="*", help="why you stop the robot; `failstop status` and the journal show it")
     add_name(parser)
@@ -94,9 +95,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
 
-    The exit code is 1 even after a stop was written, if it may have gone to the wrong port, or if the board could
-    answer but does not. A running service may report that too. The exit code is also 1 if --end-service is not allowed
-    here.
+    The exit code is 0 if a stop was written and there is no doubt about it. It is 1 in these cases: the stop may have
+    gone to the wrong port; the board does not answer, although this kind of board can answer; a running service has
+    written the stop but has a reason to think that the wheels still turn; or --end-service was used outside of the
+    service's systemd unit.
     """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -117,7 +119,8 @@ def main(arguments: Namespace) -> int:
 
 
 class Order(Data):
-    """One stop that must reach the board in some way."""
+    """What the user has asked for: one stop, with its reason. It must reach the board through a service or through the
+    port."""
 
     name: str
     """The name of the service."""
@@ -127,13 +130,14 @@ class Order(Data):
 
 
 Outcome = int | str
-"""The exit code if a stop was written. Otherwise the reason why no stop was written, as a text, which may be empty."""
+"""The result of trying one way to stop the robot. It is the exit code if a stop was written. Otherwise it is the reason
+why no stop was written, a text that may be empty."""
 NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask a running service to stop the robot. If the user has named a port, this asks every service that may use this
-    port, whatever its name is. Otherwise it asks the service with the name of this order."""
+    """Ask a running service to stop the robot. If the user has named a port, this asks every service that may use the
+    port, whatever the service's name is. Otherwise it asks only the service `order.name`."""
     try:
         target = order.target
         device = target.wanted()
@@ -144,8 +148,8 @@ def _ask_services(order: Order) -> Outcome:
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask these services one after the other until one has stopped the robot. `device`: ask only services that use this
-    port; empty for any port."""
+    """Ask the services `names` one after the other, until a service has stopped the robot. With `device`, services that
+    use a different port are not asked. If `device` is empty, the port does not matter."""
     # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
@@ -174,9 +178,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write the stop to the port itself. It tries again until the port accepts the stop or the time is over. While
-    another process holds the port, it also looks for a service that has just been started. While the port does not
-    exist, it also tries the port that the settings name."""
+    """Write the stop to the port itself. It tries again until the port accepts the stop, or until the waiting time
+    (--wait) is over. While another process holds the port, it also looks for a service that has just been started.
+    While the port does not exist, it also tries the port that the settings name."""
     target = order.target
     by_service: list[int] = []
 
@@ -208,8 +212,9 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """If a service of this name has been started meanwhile, ask it to stop the robot. It is asked only once. Returns a
-    list with the exit code if the service has stopped the robot, else an empty list."""
+    """Ask the service `order.name` to stop the robot, if it was started while this program tried to write to the port.
+    The service is asked only once. Returns a list with the exit code if the service has stopped the robot, else an
+    empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -223,7 +228,7 @@ def _ask_late_service(order: Order) -> list[int]:
 
 
 def _end(target: Target, start_s: float) -> int:
-    """End the service: kill the processes that are left of it, and write the stop to its port."""
+    """End the service: kill those of its processes that are still running, and write the stop to its port."""
     misused = not _end_service()
     try:
         after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
@@ -235,7 +240,7 @@ def _end(target: Target, start_s: float) -> int:
 
 
 def _every_service(reason: str, who: str) -> int:
-    """Ask every running service to stop its robot. Returns 1 if one of them is not known to have done so."""
+    """Ask every running service to stop its robot. Returns 0 if every service has confirmed its stop, else 1."""
     from failstop.api import ask
 
     # First stop all of them, and then print, because printing may be delayed.
@@ -249,10 +254,10 @@ def _every_service(reason: str, who: str) -> int:
 
 
 class Target:
-    """Decides to which port the stop is written, and for how long to try. An option comes first, including the port in
-    a file given with --config. Then come the port that a running service reports, the port of the last run, the
-    installed settings file, and the default. The file is read only if it is needed, and only the settings for the stop
-    are checked, because a mistake in another setting must not prevent the stop."""
+    """Decides to which port the stop is written, and for how long to try. The first of these that names a port decides:
+    the option --device, the file given with --config, a running service, the last run, the installed settings file, and
+    the default. The settings file is read only if it is needed. Only its settings about the stop are checked, because a
+    mistake in any other setting must not prevent the stop."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Check the options. Raises SettingError."""
@@ -266,28 +271,30 @@ class Target:
         """Mistakes in the settings file that have not been printed yet."""
         self._file_owner = 0
         self._unknown = False
-        """True if the settings file may name a port that could not be read, because the file can't be read or the name
-        is not a valid port."""
+        """True if the settings file may name a port that this program does not know. There are three possible reasons:
+        the file can't be read, the file's value of device.path is not a valid port, or device.path is below the wrong
+        [table]."""
         self._known = ("", 0)
         """The port that a running service reports, and the user of that service."""
         self.asked: list[str] = []
-        """The services that were asked to stop the robot, but are not known to have done so."""
+        """The services that were asked to stop the robot, but have not confirmed it."""
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
-        """The port to which the stop was written instead, because the port of the last run does not exist; and the uid
-        of the user whose file names this port."""
+        """The port to which the stop was written because the port of the last run does not exist, and the uid of the
+        user whose settings file names the port. ("", 0) if the stop was not written this way."""
         self._stopped = False
-        """True once a stop was written. Only then may this program run the code that describes your own board, in order
-        to ask the board for an answer."""
+        """True once a stop was written. If the user has described the board with Python code, that code may run only
+        after the stop was written. The code is needed to ask the board for an answer."""
 
     def wanted(self) -> str:
-        """The port that the user has named, with an option or in the settings file given with --config. Empty if there
-        is none."""
+        """The port that the user has named, with an option or in the settings file given with --config. Empty if the
+        user has named no port."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def learn(self, device: str, owner: int | None) -> None:
-        """Remember that a running service reports this port as its own. `owner`: the user of that service."""
+        """Remember that a running service uses the port `device`. `owner`: the uid of the user who runs that
+        service."""
         if device and owner is not None and not self._known[0]:
             self._known = device, owner
 
@@ -296,8 +303,8 @@ class Target:
         return self._chosen()[0]
 
     def _chosen(self) -> tuple[str, int]:
-        """The port to write to, and the uid of the user whose file names it. The uid is 0 if root's file or an option
-        names it."""
+        """The port to write to, and the uid of the user whose file names the port. The uid is 0 if root's file or an
+        option names the port."""
         if self._instead[0]:
             return self._instead
         if named := self._given.get(DEVICE):
@@ -309,9 +316,9 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """The board at the port. If the last run used this port, its kind of board counts, else the kind in the
-        settings file. For your own board, the stop bytes that the last run has saved are used, so that no code of that
-        board runs before the stop is written."""
+        """The board at the port. Its kind comes from the last run if the last run used the same port, else from the
+        settings file. If the user has described the board with Python code, the code does not run before the stop is
+        written. Until then, this returns the stop bytes that the last run has saved."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -327,15 +334,15 @@ class Target:
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def _named_kind(self) -> str:
-        """The kind of board: that of the last run if it used this port, else the one in the settings file. Empty if
-        neither names one."""
+        """The kind of board that the last run has saved, if the last run used the chosen port. Otherwise the kind that
+        the settings file names, or "" if it names none."""
         if self._is_the_last_s():
             with contextlib.suppress(SettingError):
                 return str(BY_KEY[KIND].check(self._last.board))
         return str(self._file.get(KIND, ""))
 
     def _is_the_last_s(self) -> bool:
-        """True if the last run used this port."""
+        """True if the last run used the port that was chosen for the stop."""
         return self._last.device == self.device()
 
     def assumes_kind(self) -> bool:
@@ -343,7 +350,7 @@ class Target:
         return not self._named_kind()
 
     def described(self) -> str:
-        """The port for people, with the reason why it was chosen."""
+        """The port as a text for people. If the port was chosen because the last run used it, the text says so."""
         of = ", the port of the last run" if self._is_last() else ""
         return f"{self.device()}{of}"
 
@@ -351,8 +358,8 @@ class Target:
         return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
     def _guess(self) -> tuple[str, int]:
-        """The port if there is no option and no earlier run: the one in the settings file, or the default. Also returns
-        the uid of the user whose file names it."""
+        """The port that the settings file names, or else the default port. Also returns the uid of the user who owns
+        the file, or 0 for the default."""
         return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
@@ -361,8 +368,8 @@ class Target:
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """The ids of the arm's servos, from the settings file, and from the last run if it used this port. Empty if
-        there is no arm."""
+        """The ids of the arm's servos, from the settings file and from the last run, if the last run used the chosen
+        port. Empty if the robot has no arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
         found += self._last.servos if self._is_the_last_s() else ()
@@ -370,8 +377,8 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The settings in the file. If the value of a setting that the stop needs is not allowed, that setting is left
-        out. Empty if there is no file, or it can't be read."""
+        """The settings in the settings file. If the stop needs a setting and its value is not allowed, the setting is
+        left out. Empty if the file does not exist or can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -391,8 +398,9 @@ class Target:
         return table
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
-        """Write the stop, trying for at most `most_s`. Returns after how many seconds it was written. `otherwise` is
-        called after each failed try; it returns True if it has stopped the robot in another way. Raises PortError."""
+        """Write the stop, trying for at most `most_s`. Returns the number of seconds until the stop was written.
+        `otherwise` is called after each failed try. It may stop the robot in another way, and returns True if it has
+        done so. Raises PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -438,13 +446,13 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """True if the user whose file names this port could not have opened it. Then root does not open it for that
-        user either."""
+        """True if root refused to open the port. Root refuses if a user's file names the port, and either that user may
+        not open it or it is not a serial port. Otherwise a user could make root write to any device."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
-        """Ask the board for an answer, and print what is known. Returns True if the board could answer but does not.
-        `patient`: as in stop_tool.answered()."""
+        """Ask the board for an answer, and print whether the board has answered. Returns True if this kind of board can
+        answer, but the board was silent. `patient`: as in stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
             standard.print_line(
@@ -479,7 +487,7 @@ class Target:
             standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
-        """True if the stop was written to a port that was only guessed. Prints this."""
+        """True if the stop was written to a port that was only guessed. Also prints a warning about it."""
         if self._instead[0]:
             gone = f"{self._last.device}, the port of the last run, does not exist"
             standard.say(
@@ -498,8 +506,8 @@ class Target:
         return True
 
     def explained(self, error: PortError) -> str:
-        """The reason why no stop was written, and what to do. It names the process that holds the port, if that process
-        is found."""
+        """The reason why no stop was written, and what to do. If a process holds the port and can be found, the text
+        names the process."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
             return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
@@ -521,8 +529,8 @@ class Target:
 
 
 def _end_service() -> bool:
-    """Kill (SIGKILL) the other processes of this service. Returns False if this process is not in the control group of
-    the service, and then kills nothing."""
+    """Kill (SIGKILL) the other processes of this service. If this process is not in the control group of the service,
+    this kills nothing and returns False."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(

@@ -33,11 +33,11 @@ ssh -t robot failstop teleop            # from another computer
 """
 
 LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
-"""The settings whose values are 100 % of the speed."""
+"""The settings with the highest speeds forward, sideways and turning. Their values are the speeds at 100 %."""
 TURN_S = 0.05
 LATE_S = 0.25
-"""If a pass of the loop took longer than this, in seconds, because the computer or the program was held up, the keys
-that were typed meanwhile are too old to move the robot."""
+"""The longest normal time for one pass of the loop, in seconds. If a pass takes longer, the computer or the program was
+held up. The keys that were typed during that pass are too old to move the robot."""
 CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
@@ -69,8 +69,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. At the end the wheels stop, and if this program has enabled motion, it disables it. The exit
-    code is 0 after q, else 128 plus the number of the signal."""
+    """Run the command. At the end, this program stops the wheels. It also disables motion, but only if it has enabled
+    motion itself. The exit code is 0 after q, else 128 plus the number of the signal."""
     SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
@@ -115,7 +115,7 @@ class Pilot:
         self.percent = FIRST_PERCENT
         self.hold = Hold()
         self.note: Span = ("", PLAIN)
-        """The note about the last key, and its role. It is shown until the state changes."""
+        """The note about the last key, and the note's colour role. The note is shown until the state changes."""
         self.enabled = False
         """True if this program has enabled motion, or may have done so."""
         self.leaving = False
@@ -126,18 +126,20 @@ class Pilot:
         self._commanded_s = 0.0
         self.enabling: threading.Thread | None = None
         self._seen: object = None
-        """The parts of the last state that the notes depend on."""
+        """The parts of the state that notes depend on, as they were at the previous call of keys()."""
         self._told: Span = self.note
-        """The last note."""
+        """The note at the beginning of the previous call of keys()."""
         self._asked = False
-        """True if, at the last look, motion was just being enabled while the arm moved to its drive pose."""
+        """True if a thread was enabling motion at the previous call of keys(). This takes seconds with an arm, because
+        the arm moves to its drive pose first."""
         self._rival = ""
         """Another program that commands as the same source; empty if there is none."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
-        """Act on the keys that were typed, and on what is due without a key. `late`: True if the keys may be old; then
-        only keys that stop the robot count."""
+        """Act on the keys that were typed. Call this even if no key was typed, because the robot must stop when a key
+        is no longer held. `late`: True if the keys may be old. Old keys may stop the robot or end the program, but do
+        nothing else."""
         self._drop_old_note(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
@@ -165,9 +167,9 @@ class Pilot:
         self._send(self.hold.pressed(moving, now_s), now_s)
 
     def _drop_old_note(self, state: State) -> None:
-        """Drop the note if the state has changed, because it is about the old state. A note that was made since the
-        last call stays, because it is about the new state. This also notices if motion was disabled meanwhile. If
-        somebody else enables it after that, this program will not disable it at its end."""
+        """Drop the note if the state has changed, because the note is about the old state. A note that was made since
+        the last call stays, because that note is about the new state. This also notices if motion was disabled since
+        the last call. If somebody else enables motion later, this program must not disable it when it ends."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -221,8 +223,8 @@ class Pilot:
                     self._asked = True
 
     def _enable(self) -> None:
-        """Enable motion. From the moment of the request, this program counts as the one that has enabled it, because
-        the service may enable motion even if its answer gets lost."""
+        """Enable motion, and remember that this program must disable motion when it ends. It remembers this before the
+        service answers, because the answer may get lost although the service has enabled motion."""
 
         def show(text: str) -> None:
             self.note = (text, PLAIN)
@@ -259,9 +261,9 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """The reason why a motion key must do nothing. Either the key can't move the wheels at present, or another
-        program commands as the same source. In the second case a command would stop everything, because two publishers
-        of one source latch a stop. None if there is no reason."""
+        """The reason why a motion key must do nothing, or None if the key may drive. One possible reason is that the
+        wheels are stopped, for example because motion is disabled. The other reason is that another program commands as
+        the same source. A command would then latch a stop, because a source may have only one publisher."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
@@ -281,8 +283,8 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Send a command. If another program commands as the same source, not even a zero is sent, because that would
-        latch a stop."""
+        """Send a command. If another program commands as the same source, this sends nothing, not even zero speed,
+        because a second publisher of a source latches a stop."""
         if wanted is None or self._rival:
             return
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))
@@ -316,7 +318,8 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """The lines about the arm and the chosen joint, with its angle, or the angle that it is moving to."""
+        """The lines about the arm and the chosen joint. The line about the joint shows the angle to which the joint was
+        sent. If the joint was not sent anywhere, the line shows the angle that was read."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

@@ -26,7 +26,7 @@ LEAD = 2 + 10 + 2 + LABEL + 2
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
 """The words for the names in Incident.ages()."""
 LEAST_APART_NS = 100_000
-"""If two times of a stop differ by less than this, in ns, only one of them is shown."""
+"""If two times of a stop differ by less than this, in ns, only one of the two times is shown."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
@@ -59,7 +59,8 @@ def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False,
 
 
 def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
-    """A text that follows `lead`. From the second row on, it is indented by the width of `lead`."""
+    """Rows that begin with `lead`, followed by the text. From the second row on, the text is indented by the width of
+    `lead`."""
     return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
@@ -106,8 +107,8 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _first_frame(incident: Incident) -> str:
-    """When the first bytes of the stop were written, if that was clearly earlier than the end of the write. Otherwise
-    empty."""
+    """When the first bytes of the stop were written. Empty if the last bytes were written at almost the same time,
+    because the screen shows the time of the last bytes anyway."""
     written_us = (incident.head["stop"] or {}).get("written_us")
     bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
     first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
@@ -133,8 +134,8 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """What the board reported about its wheels at the time of the cause, and at the end of the file. Each time shown is
-    that of a report, because nobody knows what the wheels did between two reports."""
+    """What the board reported about its wheels at the time of the cause, and at the end of the file. Each time on the
+    screen is the time of a report, because nobody knows what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -160,8 +161,8 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
-    """The lines of the story. If the text of an event is too long for a row, it is cut, or with `whole` it takes
-    several rows."""
+    """The lines of the story. If the text of an event is too long for one row, the text is cut. With `whole`, the text
+    is wrapped to several rows instead."""
     found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE
@@ -198,8 +199,8 @@ def _ages(incident: Incident) -> str:
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """The circumstances: battery, readings, computer, settings and versions. They may answer what the story leaves
-    open."""
+    """The circumstances: battery, readings, computer, settings and versions. They may help to find the cause if the
+    story does not explain it."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
     return [

@@ -79,7 +79,7 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """The headline, what is observed of the wheels, and the next command to type."""
+    """The lines about the wheels: the headline, what is observed of the wheels, and the next command to type."""
     rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -140,7 +140,7 @@ def device(state: State) -> Line:
 
 
 def battery(state: State) -> Line:
-    """The row about the battery: its voltage, and if a charger is plugged in."""
+    """The row about the battery: its voltage, and whether a charger is plugged in."""
     if not state.battery_v:
         return row("battery", "not reported by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
@@ -208,7 +208,7 @@ def arm_headline(arm: ArmState) -> str:
 
 
 def _holding(arm: ArmState) -> str:
-    """A text that says if the arm's torque is on, from what its joints report."""
+    """A text that says whether the arm's torque is on, according to the reports of its joints."""
     torques = {joint.torque for joint in arm.joints.values()}
     loose = [name for name, joint in arm.joints.items() if joint.torque is False]
     if True in torques:

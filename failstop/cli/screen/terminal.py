@@ -26,17 +26,17 @@ ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
 """Switches to the alternate screen, hides the cursor, and asks the terminal to mark pasted text."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-"""The signals that end the command. Ctrl-Z ends it too, because with a suspended command nobody drives or attends the
-robot."""
+"""The signals that end the command. Ctrl-Z also ends the command and does not suspend it, because nobody would drive or
+attend the robot while the command is suspended."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """The terminal of a live command, as a context manager. A signal only sets a field here. The command acts on it
-    when it has finished waiting."""
+    """The terminal of a live command, as a context manager. The handler of a signal that ends the command only stores
+    the signal's number in `ended`. The command ends when turns() finds this number."""
 
     def __init__(self) -> None:
-        """Raises FailstopError if standard output is not a terminal, or is one that does not understand escape
+        """Raises FailstopError if standard output is not a terminal, or if the terminal does not understand escape
         sequences."""
         if not os.isatty(OUT):
             raise FailstopError("this command shows a live screen, so run it in a terminal")
@@ -49,7 +49,7 @@ class Terminal:
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
         self.ended = 0
-        """The number of the signal that asks this command to end; 0 if none has."""
+        """The number of the signal that has asked this command to end. 0 until such a signal arrives."""
         self.columns = self.rows = 0
 
     def __enter__(self) -> Terminal:
@@ -134,8 +134,8 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """The text to write to the terminal so that it shows these rows. `before`: the rows that it shows; None if that is
-    not known. The rows must fit on the screen."""
+    """The text to write to the terminal so that it shows `rows`. `before`: the rows that the terminal shows at present,
+    or None if they are not known. The rows must fit on the screen."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):
