@@ -29,29 +29,29 @@ CONNECT_S = 3.0
 """How long an attempt to connect may take, s."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
-"""The longest wait between two attempts to connect, s. Each wait is twice as long as the one before, until it reaches
-this."""
+"""The longest wait between two attempts to connect, s. Each wait is twice as long as the previous wait, but never
+longer than this."""
 SPREAD = 0.2
-"""The share by which each wait is made longer or shorter at random. So not all robots connect at the same moment to a
-broker that comes back."""
+"""The share by which each wait is made longer or shorter at random. Otherwise all robots would connect at the same
+moment after a restart of the broker."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
-"""How long it takes at most, s, until a client is connected again to a broker that it can reach."""
+"""The longest time until a client has connected again to the broker, s, once the client can reach the broker."""
 NOT_YET = "not connected yet"
 NO_REASON = "Unspecified error"
-"""The reason that paho-mqtt gives if the broker closes a connection without one."""
+"""The reason that paho-mqtt reports if the broker closes a connection without giving a reason."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
-"""How many of our messages may wait to be sent to the broker. It need not be many, because of several states only the
-newest one matters."""
+"""How many messages of this client may wait to be sent to the broker. A small number is enough, because a new message
+about the robot's state makes the older messages useless."""
 MOST_READS = 16
 """How often one turn() may read from the connection, up to client.READ_BYTES each time. So a flood of messages leaves
 time for other work."""
 CLOSE_S = 1.0
-"""How long to wait for the broker to end the connection after we have disconnected, s."""
+"""How long to wait for the broker to end the connection after this client has sent its goodbye, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long deliver() may hand on messages if the newest come first, s. Older messages that are left after that are
-dropped."""
+"""How long one call of deliver() may hand on messages if it begins with the newest, s. When the time is over, it drops
+the messages that are left, which are the oldest."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""
@@ -184,7 +184,7 @@ class Broker:
         return any(event != select.POLLOUT for _, event in poll.poll(timeout_s * 1e3))
 
     def serve(self, *, readable: bool) -> None:
-        """Read the messages that have arrived, send what waits, and keep the connection alive."""
+        """Read the messages that have arrived, send the bytes that wait to be sent, and keep the connection alive."""
         for _ in range(MOST_READS):
             if not (readable or self.client.buffered()):
                 break
@@ -196,8 +196,9 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. With `newest_first`, a flood's older messages are dropped after HEAR_S.
-        No real stop is lost that way, because its sender repeats it."""
+        """Hand on the messages that were read. With `newest_first`, messages that could not be handed on within HEAR_S
+        are dropped, which happens only in a flood. A real fleet stop among them is not lost, because its sender repeats
+        it."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
@@ -240,8 +241,9 @@ class Broker:
         """Disconnect cleanly, so that the broker does not publish the last will. Then wait until the broker ends the
         connection, for at most CLOSE_S.
 
-        If we ended the connection ourselves, bytes that still arrive would make the kernel reset it. The broker could
-        then see the reset before our goodbye, and report this client as lost.
+        This client must not close the connection first. If bytes arrived after that, the kernel would reset the
+        connection. The broker could see the reset before it reads the goodbye, and would then report this client as
+        lost.
         """
         self._closing = True
         if (fd := self.fileno()) < 0:
@@ -289,8 +291,8 @@ class Broker:
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
-    """Raise FleetError if the file can't be read. Its message names the setting and the file, while an error of TLS
-    would name neither."""
+    """Raise FleetError if the file can't be read. The error's message names the setting and the file. Without this
+    check, TLS would raise an error that names neither."""
     if not path:
         return
     try:

@@ -17,8 +17,8 @@ class Client(client.Client):
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Give paho-mqtt the bytes that it asks for, without the messages, which stay in `wire`. If no bytes are left,
-        this reads the connection once."""
+        """Give paho-mqtt the next received bytes. The bytes of messages are not among them, because the messages stay
+        in `wire`. If no bytes are left, this reads the connection once."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:
@@ -35,7 +35,7 @@ class Client(client.Client):
         return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)
 
     def waits(self) -> bool:
-        """True while the broker has not acknowledged all messages that it must acknowledge."""
+        """True while the broker must still acknowledge a message of this client."""
         return bool(self._out_messages)
 
     def drop(self) -> None:

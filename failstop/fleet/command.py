@@ -69,7 +69,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Carry out one action. Raises FleetError, SettingError."""
+    """Carry out the action that the user has named, for example `stop`. Raises FleetError, SettingError."""
     return ACTIONS[arguments.action or "watch"][0](arguments)
 
 
@@ -199,8 +199,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _blind(broker: Broker) -> str:
-    """Why robots may be missing from the screen, if the broker does not let this client read all topics. Otherwise
-    empty."""
+    """The reason why robots may be missing from the screen: the broker does not let this client read some topics. Empty
+    if the client may read all of them."""
     denied = " and ".join(broker.denied)
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
@@ -237,7 +237,7 @@ class Progress:
         self._began_s = self._next_s = time.monotonic()
 
     def show(self) -> None:
-        """Update the line, if it is time for that."""
+        """Update the line, unless it was updated less than PROGRESS_S ago."""
         now_s = time.monotonic()
         if not self._shows or now_s < self._next_s:
             return
@@ -258,9 +258,9 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, this waits for a sign
-    of life. The broker's report alone proves nothing, because it also reports this for a robot that was switched off
-    while the broker was down."""
+    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, this waits for a
+    message of the robot. The broker's report alone proves nothing. If a robot is switched off while the broker is down,
+    the broker reports it as connected forever."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

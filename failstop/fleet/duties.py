@@ -1,7 +1,7 @@
-"""Duties: decides which fleet stops this robot obeys, and which answers it sends about them. Pure.
+"""Duties: decides which fleet stops this robot obeys, and which answers this robot sends to a fleet stop. Pure.
 
-A robot requests the stop first, and saves the stop's id afterwards. If it crashes in between, it may obey the same stop
-twice. If it saved the id first, a crash could lose the stop.
+The publisher first requests the stop from the service, and saves the stop's id afterwards. If the publisher crashes in
+between, the robot may obey the same stop twice. In the other order, a crash could lose the stop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from failstop.fleet.replay import Seen
 
 FOLLOWED_S = 6.0
-"""How long the robot watches the progress of a stop, s. All its proofs are known by then."""
+"""How long the robot watches the progress of a stop, s. After this time, no further proofs of the stop are expected."""
 AGAIN_EVERY_S = 0.25
 """The shortest time between two answers to a stop that its sender repeats, s."""
 MOST_DUTIES = 32
@@ -28,8 +28,8 @@ class Duty:
     """One fleet stop that this robot carries out."""
 
     def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """Make this after the stop was requested from the service. `now_s`: time.monotonic(). `before`: the service's
-        state before the request, or None if it could not be read."""
+        """Create the object right after the stop was requested from the service. `now_s`: time.monotonic(). `before`:
+        the service's state before the request, or None if it could not be read."""
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
@@ -41,7 +41,8 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """Look how far the stop has come. Returns True if it has reached a new level."""
+        """Read from the service's state which levels the stop has reached. Returns True if it has reached a new
+        level."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
@@ -60,11 +61,12 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """True if `stop`, the service's last stop, answers this request. There are two cases. Either the service has
-        stopped after the request, or a stop was latched before it and still is.
+        """True if the service has obeyed the request of this fleet stop. `stop` is the service's last stop. Usually the
+        request has made a new stop, so the epoch of `stop` is newer than the request.
 
-        In the second case the service keeps the first stop and makes no new one. So its epoch must have grown, which
-        shows that it received the request, and it must still hear the board.
+        If a stop was latched already before the request, the service keeps the latched stop and makes no new one. In
+        that case two things must be true. The service's epoch must have grown, which shows that the service has
+        received the request. And the service must still hear the board.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s
@@ -74,13 +76,14 @@ class Duty:
         )
 
     def open(self, now_s: float) -> bool:
-        """True while more may become known about this stop."""
+        """True until the robot has all proofs of this stop (written, acknowledged, observed), but for at most
+        FOLLOWED_S."""
         return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
 
 
 def confirming(state: State) -> str:
-    """The level at which a stop of this robot counts as confirmed: acknowledged if the board can answer, else observed
-    if there is an IMU, else written."""
+    """The level at which a fleet stop counts as confirmed on this robot. If the robot's board can answer, the level is
+    ACKNOWLEDGED. For any other board it is OBSERVED if the robot has an IMU, and WRITTEN if not."""
     if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
@@ -103,8 +106,8 @@ class Duties:
         self._refused_s = -AGAIN_EVERY_S
 
     def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
-        """Judge a message. Returns (order, answer). The order is a new stop, to be requested now. The answer must be
-        published now. Either may be None."""
+        """Judge a message. Returns (order, answer). If `order` is not None, it is a new stop, and the caller must
+        request it from the service at once. If `answer` is not None, the caller must publish it at once."""
         try:
             order = levels.read_order(self._key, message)
         except signed.Forged as error:
@@ -122,8 +125,9 @@ class Duties:
         return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
-        """The answer to a stop that its sender repeats. If this program was restarted since the stop was requested, the
-        answer says only that it was requested."""
+        """The answer to a stop that its sender repeats. If this program was restarted after it had requested the stop,
+        the answer says only that the stop was requested. None if the last answer to this stop was sent only a moment
+        ago."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -132,8 +136,8 @@ class Duties:
         return self._answer(duty, now_s)
 
     def failed(self, order: Order, problem: str) -> StopAnswer:
-        """The answer to a stop that could not be requested. The stop still counts as new, so it is tried again when its
-        sender repeats it."""
+        """The answer to a stop that could not be requested. The stop still counts as new, so the robot requests it
+        again when the sender repeats the stop."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
@@ -147,8 +151,8 @@ class Duties:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """The answers that must be sent now, because more has become known about a stop. The first answer to each stop
-        says that it was requested."""
+        """The answers that must be sent now, because a stop has reached a new level or has not been answered yet. The
+        first answer to a stop says that the stop was requested, and has all levels that are known by then."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
@@ -158,11 +162,12 @@ class Duties:
         return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
-        """True while more may become known about any stop."""
+        """True while this robot watches the progress of any stop (see Duty.open())."""
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """True while a stop is not confirmed yet. Its sender waits for that."""
+        """True while a stop that is being watched is not confirmed. The sender of the stop waits for the
+        confirmation."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

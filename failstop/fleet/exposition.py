@@ -90,7 +90,8 @@ def serving(name: str, host: str, port: int) -> Iterator[int]:
 
 
 def address(text: str) -> tuple[str, int]:
-    """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. Without a host, it is 127.0.0.1. Raises FleetError."""
+    """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. If the host is missing, this returns 127.0.0.1 as the
+    host. Raises FleetError."""
     host, colon, port = text.rpartition(":")
     if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
         raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")

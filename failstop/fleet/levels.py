@@ -1,5 +1,5 @@
-"""Levels: how far a fleet stop has come on a robot. Also the two messages about a stop: the order, and a robot's
-answer. Pure."""
+"""Levels: the stages that a fleet stop reaches on a robot, from "asked" to "observed". This module also has the two
+messages about a stop: the order, and a robot's answer. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 REFUSED = "refused"
-"""The robot refused the stop, because its date is too old or too far in the future."""
+"""The robot refused the stop, because the date of the stop is too old or too far in the future."""
 FAILED = "failed"
 """The robot could not request the stop from its service, or the stop was not written to the board."""
 ASKED = "asked"
@@ -70,12 +70,13 @@ class StopAnswer:
     """The level that confirms the stop on this robot. It depends on whether the robot's board can answer, and whether
     it has an IMU."""
     publisher: str = ""
-    """The random number of the robot's publisher (twins.py). Empty if its failstop is too old to have one."""
+    """The random number of the robot's publisher (twins.py). Empty if the robot has an old version of failstop, whose
+    publisher draws no number."""
     doubled: bool = False
-    """True if the publisher knows that another publisher uses its name."""
+    """True if the robot's publisher knows that a second publisher uses the robot's name."""
     connected_s: float = 0.0
-    """How long the publisher has been connected to the broker, s. So the broker has been running for at least this
-    long."""
+    """How long the publisher has been connected to the broker, s. The broker has been running for at least the same
+    time."""
 
     def message(self, key: bytes) -> bytes:
         """The signed message."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ONLINE = "online"
 OFFLINE = "offline"
-"""The publisher has ended cleanly and has said so."""
+"""The connection state that a publisher reports just before it ends cleanly."""
 LOST = "lost"
 """The content of the last will, which the broker publishes when the robot's connection breaks."""
 FLEET_STOP_OFF = "fleet_stop_off"

@@ -1,4 +1,4 @@
-"""Metrics: turns a service's state into Prometheus's metrics, by a table. Pure.
+"""Metrics: turns a service's state into metrics for Prometheus. A table defines the metrics. Pure.
 
 The names follow Prometheus's rules: base units, with the unit at the end of the name, and `_total` for counters. A
 value that is not known has no sample. If no service is running, `failstop_up` is the only metric.

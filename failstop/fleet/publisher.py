@@ -1,7 +1,8 @@
 """Publisher: publishes this robot's connection, state and events on the broker, and carries out fleet stops.
 
-The robot works without its publisher, and the publisher can't move the robot. It requests stops through the service's
-stop pipe, as every local user may, and reads only what everybody may read.
+The robot works without its publisher, and the publisher can't move the robot. The publisher has no special rights. It
+requests stops through the service's stop pipe, to which every local user may write. It reads only what every user may
+read.
 """
 
 from __future__ import annotations
@@ -48,20 +49,22 @@ LOOK_S = 0.2
 BUSY_LOOK_S = 0.02
 """The time between two looks while a fleet stop is not confirmed yet, s."""
 LAST_LOOK_S = 0.1
-"""The time between two looks after a fleet stop was confirmed, s, until the wheels are seen still. That takes most of a
-second, and nobody waits for it."""
+"""The time between two looks while a fleet stop is confirmed but not all of its proofs are known, s. It is longer than
+BUSY_LOOK_S, because the sender of the stop no longer waits for this robot."""
 BUSY_STATE_S = 1.0
-"""The time between two state messages during a fleet stop, s. It is long, because the answers to the stop matter more.
-A thousand robots that sent both at the same time would confirm the stop later."""
+"""The time between two state messages during a fleet stop, s. It is long, because the answers to the stop matter more
+than the state. If a thousand robots sent states and answers at the same time, the answers would arrive later."""
 FIRST_LOOK_S = 0.003
 """How long after requesting a stop to look for the first time, s. By then the service has usually written the stop, so
 the first answer can already say so."""
 CHANGES_S = 1.0
 """The shortest time between two messages about values that change all the time, s, for example a velocity."""
 MOST_EVENTS = 20
-"""At most this many of the newest events are published at one look. The journal has all events."""
+"""How many events are published at one look. If there are more new events, only the newest are published, but the
+journal has all of them."""
 FORGED_S = 60.0
-"""How long the publisher reports a message that was not signed with the fleet's key, s."""
+"""How long the publisher reports a forged stop as an error after the stop has arrived, s. A forged stop is one that was
+not signed with the fleet's key."""
 CLOSE_S = 1.5
 """How long the broker may take to confirm that this publisher has ended, s."""
 SEEN = "fleet-stops.json"
@@ -127,7 +130,8 @@ class Publisher:
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
         self.duties = Duties(self._key, robot_id, self._seen)
-        """Judges messages that claim to be fleet stops. Without a key, it gets no messages."""
+        """Judges messages that claim to be fleet stops. If this robot does not have the fleet's key, such messages are
+        ignored and never judged."""
         self.unsaved = False
         """True while the newest obeyed stops are not saved. The publisher saves them after it has sent its answers,
         because the disk may be slow."""
@@ -149,7 +153,8 @@ class Publisher:
         return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
-        """Wait for the broker until something must be done, for at most `longest_s`. Then do it."""
+        """Wait for a message from the broker, but at most `longest_s`, and not after the time of the next look. Then
+        handle the messages that have arrived, and call look()."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         # With a second publisher of this name this is not logged: they may end each other's connection every second.
@@ -167,7 +172,7 @@ class Publisher:
         self.look(time.monotonic())
 
     def look(self, now_s: float) -> None:
-        """Publish what has changed, if it is time for that."""
+        """Publish what has changed. If the time of the next look has not come yet, this does nothing."""
         if now_s < self._look_at_s:
             return
         if self.twins.again:
@@ -191,7 +196,7 @@ class Publisher:
                 self._publish_event(event)
 
     def deaf(self) -> str:
-        """Why this robot would not obey a fleet stop at this moment. Empty if it would."""
+        """Why this robot would not obey a fleet stop at this moment. Empty if the robot would obey a fleet stop."""
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
@@ -209,7 +214,7 @@ class Publisher:
         )
 
     def busy(self, now_s: float) -> bool:
-        """True while a fleet stop is carried out."""
+        """True while the progress of a fleet stop is being watched."""
         return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
@@ -217,7 +222,8 @@ class Publisher:
 
     def close(self) -> None:
         """End cleanly: publish that the robot is offline, so that it does not count as lost. If the broker does not
-        confirm this within CLOSE_S, it publishes the last will instead."""
+        confirm this message within CLOSE_S, the connection is dropped, so that the broker publishes the last will
+        instead."""
         self._word = message.OFFLINE
         self._connection()
         if self.broker.confirmed(CLOSE_S):
@@ -263,8 +269,8 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
-        """The publisher's own errors, which are published with the robot's. For example, the robot would obey no fleet
-        stop, or somebody sends forged stops."""
+        """The errors that concern the publisher itself. They are published along with the errors of the robot's
+        service. For example, this robot would ignore a fleet stop, or somebody sends forged stops."""
         found = []
         if off := self._off or self._denied():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
@@ -277,8 +283,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Handle a message: a fleet stop, a forged stop, or a message about the connection of a robot with this
-        name."""
+        """Handle a message: a fleet stop, a forged stop, or a connection message of any publisher that uses this
+        robot's name."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -317,8 +323,8 @@ class Publisher:
         self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # if this answer is lost, the sender asks again
 
     def _remember(self) -> None:
-        """Save the ids of obeyed stops, so that a restart does not forget them. If this fails, it is only logged,
-        because the robot must keep obeying stops."""
+        """Save the ids of obeyed stops, so that a restart does not forget them. If the file can't be written, this only
+        logs the error, because the robot must keep obeying stops."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())
@@ -339,8 +345,9 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """The stops that were obeyed earlier. If their file can't be read, none are known. Somebody could then repeat a
-    recorded stop until the stop is older than the tolerance."""
+    """The stops that were obeyed earlier, read from their file. If the file can't be read, this program forgets these
+    stops. Somebody who has recorded such a stop could then make the robot obey it again, until the stop's date is older
+    than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:
@@ -353,7 +360,8 @@ def _remembered(path: str, tolerance_s: float) -> Seen:
 
 
 def store(name: str) -> str:
-    """The folder of the file with the stops that were obeyed. It is made if needed. Raises FleetError."""
+    """The folder of the file with the stops that were obeyed. This makes the folder if it does not exist. Raises
+    FleetError."""
     path = state_directory(name, os.environ)
     try:
         os.makedirs(path, exist_ok=True)

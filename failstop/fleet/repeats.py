@@ -1,21 +1,22 @@
-"""Repeats: decides when a fleet stop is sent again. Pure; times are those of time.monotonic(), s."""
+"""Repeats: decides when a fleet stop is sent again. Pure. All times are from time.monotonic(), s."""
 
 from __future__ import annotations
 
 AGAIN_S = 0.5
-"""The time until a stop is sent again, s. Each sending has its own date."""
+"""The time between two sendings of a fleet stop, s. Each time, the stop is signed with a new date."""
 MANY_AGAIN_S = 1.5
-"""The time until a stop is sent again while many robots are missing, s. It is longer, because every robot answers every
-sending."""
+"""The time between two sendings of a fleet stop while many robots have not confirmed it, s. It is longer than AGAIN_S,
+because every robot answers each time it receives the stop."""
 MANY = 100
-"""If more robots than this are missing, they count as many."""
+"""If more robots than this number have not confirmed the stop, MANY_AGAIN_S applies."""
 LATEST_S = 4.5
-"""The longest time until a stop is sent again, s. While answers still arrive, sending it again is postponed up to this
-time. A thousand robots take two seconds to answer, and they would take four if they had to answer twice."""
+"""The longest time between two sendings of a stop, s. While many robots are missing and answers still arrive, the next
+sending is postponed, but not longer than this. A thousand robots need two seconds to answer once. They would need four
+seconds if the stop was sent again in between, because they would answer twice."""
 
 
 class Repeats:
-    """Knows when the stop must be sent again. The first time is at once."""
+    """Decides when the stop must be sent. A new object says that the stop must be sent now."""
 
     def __init__(self) -> None:
         self._due_s = self._latest_s = 0.0

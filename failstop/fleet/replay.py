@@ -1,9 +1,10 @@
 """Replay: tells a new fleet stop from an old one that somebody recorded and sends again. Pure; the wall clock is an
 argument.
 
-A stop has an id and a date. Each id is obeyed only once, and the date must be close to this robot's clock. An id is
-forgotten when its date is no longer close. The newest date of all forgotten ids is kept, and a stop with this date or
-an older one is refused, even if the clock is set back. So a recorded stop never works again, not even after a restart.
+A stop has an id and a date. Each id is obeyed only once, and the date must be close to this robot's clock. The robot
+forgets an id when the date of the stop is too old to be accepted. It remembers only the newest date among all forgotten
+stops. A stop that is not newer than this date is refused, even if somebody sets the clock back. So a recorded stop
+never works again, not even after a restart.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class Seen:
         self._floor_s = floor_s
 
     def judge(self, stop_id: str, dated_s: float, now_s: float) -> str:
-        """Judge a stop. Returns NEW, AGAIN if its id was obeyed already, or the reason why it is refused."""
+        """Judge a stop. Returns NEW if the stop must be obeyed, AGAIN if a stop with this id was obeyed already, or the
+        reason why the stop is refused."""
         if stop_id in self._ids:
             return AGAIN
         off_s = dated_s - now_s

@@ -77,8 +77,8 @@ def progress(tally: Tally, problem: str, age_s: float) -> str:
 
 
 def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """The result for programs. `complete` is True if all robots have confirmed, and there is no doubt that these are
-    all. Then the exit code is 0."""
+    """The result for programs. `complete` is True if all known robots have confirmed the stop, and there is no reason
+    to think that more robots exist. In this case the exit code of `failstop fleet stop` is 0."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {

@@ -1,4 +1,4 @@
-"""Roster: collects what the robots publish on the broker. Pure; the clocks are arguments."""
+"""Roster: collects what the robots publish on the broker. Pure, because the times of the clocks are arguments."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ LONGEST_PERIOD_S = 30.0
 that does not report its own period."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
-"""How many seconds of silence are allowed for delays of the network, in addition to MISSED_PERIODS of the robot's
-periods. After that, the robot counts as lost."""
+"""The time that is allowed for delays of the network, s. A robot counts as lost if it has been silent for longer than
+MISSED_PERIODS of its periods plus this time."""
 
 
 @dataclasses.dataclass
@@ -45,21 +45,23 @@ class Robot:
     """The kinds of errors that need a person."""
     warnings: int = 0
     deaf: str = ""
-    """Why the robot would obey no fleet stop. Empty if it would obey one, as far as it reports."""
+    """The reason, as the robot reports it, why the robot would obey no fleet stop. Empty if the robot reports no such
+    reason."""
     doubled: str = ""
-    """The robot's report that another publisher uses its name. Empty if it reports none."""
+    """The robot's warning that another publisher uses its name. Empty if the robot has reported no such warning."""
     period_s: float = LONGEST_PERIOD_S
     """The longest time between two state messages of this robot, s."""
     stamped_s: float | None = None
     """When the robot made its newest state message, by its own clock (Unix time, s)."""
     dated_s: float | None = None
-    """When the robot made its newest message, by its own clock (Unix time, s)."""
+    """When the robot made its newest message that shows it is alive, by its own clock (Unix time, s). It may be a state
+    message, or a connection message with ONLINE."""
     heard_s: float | None = None
-    """When the newest state message arrived (this computer's monotonic clock, s). None if the broker had stored it,
-    because its arrival then says nothing about its age."""
+    """When the newest state message arrived (this computer's monotonic clock, s). None if the message came from the
+    broker's store, because a stored message may be of any age."""
     sign_s: float | None = None
-    """When the robot last showed that it is alive (this computer's monotonic clock, s). None if it has not, since this
-    roster was made."""
+    """When the robot last showed that it is alive (this computer's monotonic clock, s). None if the robot has shown no
+    sign of life since this roster was created."""
     first_s: float | None = None
     """When the robot's first message arrived (this computer's monotonic clock, s)."""
 
@@ -70,9 +72,9 @@ class Robot:
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """How long the robot has shown no sign of life, s, as far as is known. If there is only a message that the
-        broker had stored, its age is computed from the robot's clock. If the robot's clock is ahead, the result is too
-        small."""
+        """How long the robot has shown no sign of life, s. If the only message so far came from the broker's store, the
+        message's age is computed from its date, which was made with the robot's clock. If the robot's clock is ahead,
+        the result may be too small."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
@@ -80,11 +82,12 @@ class Robot:
 
     def silent_after_s(self) -> float:
         """How long a robot may be silent until it counts as lost, s. This also applies to a robot that the broker still
-        reports as ONLINE. The broker does so if the robot was switched off while the broker was down."""
+        reports as ONLINE. The broker keeps reporting a robot as ONLINE if the robot was switched off while the broker
+        was down."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:
-        """True if the robot counts as lost. Then nothing that it has published may be true any more."""
+        """True if the robot counts as lost. Everything that the robot has published may then be out of date."""
         silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
         if not self.connection and self.sign_s is not None:
             return silent  # the broker hides the robot's connection messages, but shows its states
@@ -156,8 +159,8 @@ def _text(found: object) -> str:
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """The value if it is a number in this range, else None. So the result is never NaN or a huge integer, both of which
-    Python accepts in JSON."""
+    """The value if it is a number between `low` and `high`, else None. Python's JSON reader also accepts NaN and huge
+    integers, so this check is needed."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)

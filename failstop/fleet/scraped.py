@@ -11,10 +11,10 @@ from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 MOST_CONNECTIONS = 8
-"""How many connections may be open. A further one closes the oldest. That one must be idle, because a scrape takes only
-milliseconds."""
+"""How many connections may be open. If a new connection would exceed this number, the oldest connection is closed. This
+does no harm, because a scrape takes only milliseconds, so the oldest connection must be idle."""
 REQUEST_S = 5.0
-"""How long a request may take to arrive, and its answer to be sent, s."""
+"""How long the server waits for the next bytes of a request, or until the next bytes of an answer can be sent, s."""
 
 
 class Handler(WSGIRequestHandler):

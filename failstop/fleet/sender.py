@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long to wait, after all robots have confirmed, until their wheels are seen still, s."""
+"""How long to wait until all robots have seen that their wheels are still, s. The time begins when all robots have
+confirmed the stop."""
 WAIT_S = 5.0
 """How long to wait for robots that have not confirmed, s, if --wait is not given."""
 TURN_S = 0.05
@@ -41,7 +42,8 @@ class Sender:
         self.sent_s: float | None = None
         """When the stop was first given to the broker (time.monotonic(), s). None before that."""
         self.doubts: tuple[str, ...] = ()
-        """Why robots may exist that are not counted. It is known after run(), and empty if there is no doubt."""
+        """Reasons to think that more robots exist than the tally has counted. They are known after run(). Empty if no
+        such reason is known."""
         self._key = signed.read_key(found.text("stop.key_file"))
         self._order = Order(self.id, 0.0, reason, by)
         self._fleet = found.text("robot.fleet")
@@ -50,7 +52,8 @@ class Sender:
         when it sends its next state message, and may then need several attempts."""
         self._probe = topics.answer(self._fleet, self.id, "probe/end")
         self.heard_all = False
-        """True once the broker has named all robots that it remembers, on the present connection."""
+        """True once the broker has named all robots that it remembers. False again after each new connection to the
+        broker."""
         self._repeats = Repeats()
         self._connections = topics.of_robot(self._fleet, topics.ANY, topics.CONNECTION)
         wanted = (topics.answer(self._fleet, self.id, topics.ANY), self._connections, self._probe)
@@ -58,11 +61,13 @@ class Sender:
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
     def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
-        """Send the stop, and repeat it until all robots have confirmed it. Returns True if every robot has confirmed,
-        and there is no doubt that these are all. Raises FleetError if no broker took the stop.
+        """Send the stop, and repeat it until all robots have confirmed it. Returns True if all known robots have
+        confirmed the stop, and there is no reason to think that more robots exist. Raises FleetError if the stop could
+        not be given to the broker.
 
-        `wait_s` is the longest time to wait. If it is None, that is WAIT_S, or longer if the broker may have restarted
-        recently, because some robots may still be reconnecting. `progress` is called again and again meanwhile.
+        `wait_s` is the longest time to wait. If it is None, the longest time is WAIT_S. But if the broker may have
+        restarted recently, some robots may still be reconnecting, so this waits longer for them. `progress` is called
+        again and again during the wait.
         """
         until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
         confirmed_s: float | None = None
@@ -143,8 +148,9 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """Send the stop to all robots. When it is repeated and only a few robots are missing, send it to each of these
-        instead."""
+        """The first time, send the stop to all robots. Later, if at most MANY robots or at most half of all robots are
+        missing, send it only to the missing robots, one by one. If the broker may know more robots than it has named,
+        send the stop to all robots again."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)

@@ -1,7 +1,8 @@
-"""The fleet's settings: the broker, this robot's name in the fleet, and the key. They have their own file.
+"""The fleet's settings: the broker, this robot's name in the fleet, and the key. These settings have a file of their
+own.
 
-The service does not read this file, so a mistake in it can't keep the service from starting. A computer without a robot
-needs the file too, if somebody stops the fleet from there.
+The service does not read that file, so a mistake in the file can't keep the service from starting. A computer without a
+robot needs the file too, if somebody wants to stop the fleet from this computer.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ GONE = {
     "robot.manufacturer": "failstop no longer publishes VDA 5050. Remove this line; if it named your fleet, write "
     "robot.fleet instead, the same on every robot and on the computer that stops them",
 }
-"""Settings that failstop does not have any more. The text of each says what to do."""
+"""Settings that older versions of failstop had. For each, a text that says what to do."""
 
 
 class FleetSettings:
@@ -108,7 +109,8 @@ class FleetSettings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse settings that would have no effect, because their owner would feel protected although nothing is."""
+        """Refuse settings that would have no effect. For example, with a certificate but without TLS, a user would
+        think that the connection is protected, but it is not."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
@@ -125,8 +127,8 @@ class FleetSettings:
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """The path of a file with a secret. It is systemd's credential with this name if there is one, else the value
-        of the setting."""
+        """The path of a file with a secret. If systemd has passed a credential with this name, this is the path of the
+        credential. Otherwise it is the value of the setting."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
@@ -140,8 +142,9 @@ class FleetSettings:
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """The robot's name in the fleet, for the service `name`. Without the setting robot.id, it is made from the
-        computer's host name. Raises SettingError if the host name can't be a robot's name."""
+        """The robot's name in the fleet, for the service `name`. It is the setting robot.id, or the computer's host
+        name if that setting is empty. If the service does not have the default name, "-" and the service's name are
+        added. Raises SettingError if the host name can't be a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()
@@ -199,8 +202,8 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """The text of a settings file that shows every setting with its default. All defaults are commented out, so a
-    setting may also be added at the end."""
+    """The text of a settings file that shows every setting with its default. Every default is a comment, and every
+    setting has its whole key. So a person may add a setting anywhere in the file."""
     lines = [
         "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
         "# a line with the whole name anywhere.",

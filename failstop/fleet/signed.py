@@ -70,8 +70,8 @@ def _mac(key: bytes, purpose: str, text: str) -> str:
 
 
 def make_key(path: str) -> None:
-    """Write a new key to a new file that only its owner may read. Raises FleetError, also if the file exists
-    already."""
+    """Write a new key to a new file that only its owner may read. Raises FleetError if the file exists already, or if
+    it can't be made."""
     try:
         os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -112,7 +112,7 @@ def read_key(path: str) -> bytes:
 
 
 def _handed_over(path: str) -> bool:
-    """True if the file is a credential from systemd. Its permissions may look too wide, but it is in a folder that only
-    this service can open."""
+    """True if the file is a credential from systemd. Such a file may be readable by other users according to its
+    permissions. But they can't read it, because systemd puts it into a folder that only this service can open."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

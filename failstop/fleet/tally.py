@@ -1,5 +1,5 @@
-"""Tally: counts which robots have confirmed a fleet stop, and which are missing. Pure; times are in s since the stop
-was first sent."""
+"""Tally: counts which robots have confirmed a fleet stop, and which are missing. Pure. All times are in s since the
+stop was first sent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNCONFIRMED = {
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
     levels.OBSERVED: "written, but its IMU has not observed that the wheels have stopped",
 }
-"""For each level that can confirm a stop: what is reported about a robot that has not reached it."""
+"""For each level that can confirm a stop, the text that is shown about a robot which has not reached this level."""
 TAKEN_OFF = "TAKEN OFF"
 """The connection of a robot whose stored message was removed from the broker during the stop."""
 WORDS = {
@@ -36,8 +36,8 @@ DOUBLED = (
 )
 OLDER = "its failstop is older and can't tell a second robot of this name apart: update it"
 STABLE_S = 2.0
-"""How old a connection must be, s, to be certain that no second client uses its name. Two clients with the same name
-end each other's connection every second."""
+"""If a robot's connection to the broker is at least this old, s, no second client uses the same client name. Two
+clients with the same name would end each other's connection every second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +55,9 @@ class Tally:
         """`listed`: robots that must confirm even if the broker does not know them."""
         self._listed = listed or frozenset()
         self._connections: dict[str, tuple[str, str]] = {}
-        """For every robot that the broker has named: its last reported connection, and the number of the publisher that
-        reported it. No robot is ever removed."""
+        """For every robot that the broker has named, the newest state of its connection, and the number of the
+        publisher that has reported this state. A robot stays in the dict even if its message is removed from the
+        broker."""
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
@@ -122,21 +123,21 @@ class Tally:
         self._since_s.clear()
 
     def robots(self) -> list[str]:
-        """All robots that must confirm: the robots in the file, those that the broker has named, and those that have
-        answered."""
+        """All robots that must confirm the stop. They are the robots in the file stop.robots_file, the robots that the
+        broker has named, and the robots that have answered."""
         return sorted({*self._known(), *self._answers})
 
     def _known(self) -> Set[str]:
         return self._connections.keys() | self._listed
 
     def hidden(self) -> list[str]:
-        """Robots that have answered but were never named by the broker. If there are any, the broker may hide more
-        robots."""
+        """Robots that have answered but were never named by the broker. If the list is not empty, the broker may hide
+        more robots."""
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """The robots that have reported this level. A robot with two publishers is left out, because nobody knows which
-        of them has answered."""
+        """The robots that have reported this level. If two publishers use a robot's name, the robot is left out,
+        because nobody knows which of the two robots has answered."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
@@ -158,13 +159,13 @@ class Tally:
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """When the oldest connection of a robot to the broker began, as the answers report it. The broker has been
-        running since then. None if there is no answer."""
+        """When the oldest connection between a robot and the broker began, according to the robots' answers. The broker
+        must have been running since that time. None if no robot has answered."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Robots whose connection is younger than STABLE_S. Another robot with the same name may be taking turns with
-        them."""
+        """Robots whose connection is younger than STABLE_S. A connection is that young if two robots have the same
+        name, because each of them ends the connection of the other again and again."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:

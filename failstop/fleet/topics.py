@@ -16,7 +16,8 @@ EVENT = "event"
 
 
 def of_robot(fleet: str, robot: str, last: str) -> str:
-    """The topic of one robot that ends with `last`. With ANY as the robot, it is a pattern for all robots."""
+    """The topic of one robot that ends with `last`. If `robot` is ANY, the result is a pattern that matches this topic
+    of every robot."""
     return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 
@@ -32,5 +33,6 @@ def stop(fleet: str, robot: str = "") -> str:
 
 
 def answer(fleet: str, stop_id: str, robot: str) -> str:
-    """The topic for a robot's answer to this stop. With ANY as the robot, it is a pattern for all robots."""
+    """The topic for a robot's answer to this stop. If `robot` is ANY, the result is a pattern that matches the answers
+    of all robots."""
     return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

@@ -4,8 +4,9 @@ By default, a robot's name is its computer's host name, so two robots with copie
 name. To notice this, every publisher draws a random number when it starts. Its messages contain this number, and also
 the numbers that it has heard from other publishers with its name.
 
-Nobody can list a number before it is drawn. So if a message lists this publisher's number, its sender runs at the same
-time as this publisher. This holds in whatever order the messages arrive, and even if clocks are wrong.
+Nobody can list a number before it is drawn. So if another publisher's message lists this publisher's number, both
+publishers run at the same time. This conclusion is right in whatever order the messages arrive, and even if clocks are
+wrong.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from failstop.fleet import message
 NUMBER_BYTES = 8
 NUMBER = re.compile(rf"[0-9a-f]{{{2 * NUMBER_BYTES}}}")
 MOST = 64
-"""How many numbers are remembered, so that nobody can fill the memory by inventing numbers. More are not needed,
-because the first other publisher already keeps this robot from being confirmed."""
+"""How many numbers are remembered. There is a limit, so that nobody can fill the memory by inventing numbers. A small
+limit is enough, because a single other publisher already keeps this robot from being confirmed."""
 
 
 def draw() -> str:
@@ -45,7 +46,8 @@ class Said(NamedTuple):
     dated_s: float | None = None
     """When the message was made, by its publisher's clock (Unix time, s)."""
     heard: tuple[str, ...] = ()
-    """The numbers that its publisher had heard from other publishers."""
+    """The numbers of other publishers that the message lists. The publisher that made the message has received messages
+    with these numbers."""
 
 
 NOTHING = Said()
@@ -70,22 +72,25 @@ class Twins:
     def __init__(self, own: str, started_s: float) -> None:
         """`own`: this publisher's number. `started_s`: when this publisher started (Unix time, s)."""
         self.others: set[str] = set()
-        """The numbers of the other publishers, at most MOST. None is ever removed: a robot that was switched off or
-        renamed has used this name too, and may still be driving. Only a restart of this publisher clears the set."""
+        """The numbers of other publishers that use this robot's name, at most MOST. They stay in the set even after the
+        other robot is switched off or renamed. The other robot may still be driving, although its publisher is silent.
+        Only a restart of this publisher clears the set."""
         self.again = False
-        """True if this publisher must publish its connection message again. There are two possible reasons. The broker
-        has stored no message, or one of another publisher. Or this publisher has heard a new number."""
+        """True if this publisher must publish its connection message again. There are three possible reasons. The
+        broker has no stored message for this robot's name. The broker has stored a message with OFFLINE or LOST. Or
+        this publisher has received a message with a new number, which it must list."""
         self._own = own
         self._started_s = started_s
         self._connections = 0
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
-        """Numbers that were in use before this publisher's first connection. Each has the date of the message that the
-        broker had stored, or infinity if the date is not known. Such a publisher may have ended or may still run, and
-        its clock may have been ahead."""
+        """Numbers of publishers that have used this robot's name before this publisher's first connection. Each has the
+        date of the publisher's message that the broker had stored, or infinity if the date is not known. It is not
+        known whether these publishers still run, and their clocks may have been ahead."""
 
     def connected(self) -> None:
-        """Note a new connection to the broker. The broker then sends the message that it has stored."""
+        """Note a new connection to the broker. Call this before hear(), because the broker first sends its stored
+        message, which may be from before this publisher has started."""
         self._connections += 1
 
     def heard(self) -> list[str]:
@@ -116,6 +121,7 @@ class Twins:
             self.others.add(said.number)
 
     def _later(self, said: Said) -> bool:
-        """True if the message is dated after this publisher's start. This proves nothing, because a clock may be wrong.
-        But it is the only sign of another publisher that hangs before it has listed any number."""
+        """True if the message is dated after this publisher's start, so that its sender seems to be running now. This
+        is not certain, because a clock may be wrong. But if another publisher hangs before it has listed any number,
+        the date of its message is the only sign of that publisher."""
         return said.dated_s is not None and said.dated_s > max(self._started_s, self._kept_s.get(said.number, 0.0))

@@ -95,8 +95,8 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
 
 
 def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
-    """A table with a row for each robot. Robots that need a person come first. `columns`: the screen's width. Robots'
-    names get at most a third of it."""
+    """A table with a row for each robot. Robots that need a person come first. `columns`: the screen's width. The names
+    of the robots get at most a third of the width."""
     most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]

@@ -1,8 +1,8 @@
 """Wire: splits the bytes from a broker into packets before paho-mqtt reads them. Pure.
 
-A broker passes on whatever others publish, of any size and at any rate. So this takes out all messages that have
-arrived, and the reader can handle the newest first. All other packets are answers to this client's own packets, and are
-left for paho-mqtt.
+A broker passes on whatever others publish, of any size and at any rate. This module takes all messages out of the
+bytes, so that the reader can handle the newest message first. The remaining packets are the broker's answers to this
+client, and paho-mqtt reads them.
 """
 
 from __future__ import annotations
