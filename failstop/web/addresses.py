@@ -9,7 +9,7 @@ from typing import Any
 HERE = ("127.", "::1", "fe80")
 EVERYWHERE = ("0.0.0.0", "::", "")
 QUIET = 1
-"""The margin around a QR code, in the code's squares. A small margin is enough, because a terminal has its own."""
+"""The margin around a QR code, in the code's squares. A small margin is enough, because a terminal has a margin too."""
 
 
 def own_addresses() -> list[str]:
@@ -26,8 +26,8 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """The page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a proxy
-    there is only one address, the proxy's."""
+    """The page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a proxy,
+    the only address is the address of the proxy."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 

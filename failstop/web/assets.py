@@ -1,5 +1,5 @@
-"""Assets: the page's files. The first response already contains everything that shows the page and stops the robot,
-because a second request takes half a second on a slow phone."""
+"""Assets: the page's files. The first response already contains all that the browser needs to show the page and to stop
+the robot, because a second request takes half a second on a slow phone."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from pathlib import Path
 FOLDER = Path(__file__).parent / "page"
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml"}
 WITHIN = {"stop.css": "style-src", "stop.js": "script-src 'self'", "page.css": "style-src"}
-"""Files that are part of the first response. Each replaces a comment with its name in page.html. Its value is the
-directive of the Content-Security-Policy that allows it."""
+"""The files that are part of the first response. In page.html there is a comment with each file's name, and the file's
+text replaces the comment. For each file, the value is the directive of the Content-Security-Policy that allows its
+text."""
 INDEX = "/"
 
 
@@ -33,7 +34,8 @@ def load() -> dict[str, tuple[bytes, bytes, str, str]]:
 
 
 def policy(given: str, more: str) -> str:
-    """The Content-Security-Policy `given`, in which the directives of `more` replace those of the same name."""
+    """The Content-Security-Policy `given`, combined with `more`. If both have a directive with the same name, the
+    directive in `more` is used."""
     rows = dict(row.strip().partition(" ")[::2] for row in given.split(";"))
     rows |= dict(row.strip().partition(" ")[::2] for row in more.split(";") if row)
     return "; ".join(f"{name} {value}" for name, value in rows.items())

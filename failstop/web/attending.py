@@ -1,5 +1,6 @@
-"""Attending: tells the gate which operator is present, proved by that operator's device. If several operators are
-present, it reports only the one whose proof is newest. The gate alone decides when a proof is too old."""
+"""Attending: reports to the gate that an operator is present, which the operator's device has proved. If several
+operators are present, only the operator with the newest proof is reported. The gate alone decides when a proof is too
+old."""
 
 from __future__ import annotations
 
@@ -27,23 +28,23 @@ class Attending:
         self._leases: dict[Viewer, tuple[str, Lease]] = {}
 
     def of(self, viewer: Viewer) -> Lease | None:
-        """The lease of a viewer, which checks its proofs. None if this viewer does not attend."""
+        """The lease that checks the proofs of this viewer. None if the viewer does not attend."""
         found = self._leases.get(viewer)
         return found[1] if found else None
 
     def begin(self, viewer: Viewer, who: str, key: bytes) -> None:
-        """Let a device begin to attend. It counts as present from its first correct answer on. `key` is the key of its
-        answers."""
+        """Let a viewer begin to attend. Its operator counts as present from the first correct answer of the device.
+        `who`: the operator. `key`: the key with which the device computes its answers."""
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
-        """Call this after a viewer's answer has proved something new. If this viewer's proof is the newest of all, it
-        is reported to the gate. Returns an error text, or ""."""
+        """Call this after a viewer's answer has proved something new. If no other viewer's proof is newer, the proof is
+        reported to the gate. Returns an error text, or ""."""
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
-        """End a viewer's attendance. If this viewer's proof was the newest, the gate gets the next newest proof at
-        once, from another operator's device. That proof may be too old already, and then nobody attends."""
+        """End a viewer's attendance. If this viewer's proof was the newest, the newest proof of the other operators is
+        reported to the gate at once. If the gate finds that proof too old, nobody counts as present."""
         last = self._last()
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
@@ -51,8 +52,8 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """The operator with the newest proof, and that operator's lease. None if no operator has proven to be
-        present."""
+        """The operator with the newest proof, and that operator's lease. None if no operator's device has sent a proof
+        yet."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 
@@ -79,6 +80,6 @@ class Attending:
             robot.close()
 
     def close(self) -> None:
-        """Nobody attends through this page any more, because the page closes."""
+        """End the attendance of all viewers, because the page closes."""
         for viewer in tuple(self._leases):
             self.end(viewer)

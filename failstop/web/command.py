@@ -26,7 +26,7 @@ WHAT = (
     "serve (default): serve the page; pair: print a code and a QR code with which a phone can pair; devices: list the "
     "paired devices; revoke: unpair the device with this ID"
 )
-"""The help text about the four actions."""
+"""The help text that explains the actions serve, pair, devices and revoke."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Carry out one action. Raises FailstopError, SettingError."""
+    """Carry out the action that the user has named, for example `pair`. Raises FailstopError, SettingError."""
     instance.check_name(arguments.name)
     try:
         import tornado  # noqa: F401  # every action needs it
@@ -66,8 +66,8 @@ def _serve(arguments: Namespace) -> int:
 
 
 def _settings(arguments: Namespace) -> tuple[Settings, Source]:
-    """The page's settings, and where they come from. With --config they come from that file. Otherwise they come from
-    the running service, or from the installed file if no service is running."""
+    """The page's settings, and their source. The source is the file given with --config. Without --config it is the
+    running service, and if no service is running, the installed settings file."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     changed = {key: value for key, value in given.items() if value is not None}
     if not arguments.config:

@@ -1,5 +1,5 @@
-"""Connections: limits how many connections the page has open. So a flood of connections can't use up the file
-descriptors, and can't keep a STOP out."""
+"""Connections: limits how many connections the page has open. Without the limit, a flood of connections could use up
+the file descriptors, and a STOP could not get through."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ class BoundedServer(HTTPServer):
     because websockets have their own limits."""
 
     def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
-        """Set up tornado's HTTPServer with these limits. `names`: the host names of the robot."""
+        """Set up tornado's HTTPServer with limits for the connections, for example MOST and IDLE_S. `names`: the host
+        names of the robot."""
         self._names = names
         self._places: Places[IOStream] = Places(MOST)
         options |= {

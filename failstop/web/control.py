@@ -34,7 +34,7 @@ class _Asked(RequestHandler):
         self.page = page
 
     def write_error(self, status_code: int, **given: Any) -> None:
-        """Send the reason of an error, because the command prints it."""
+        """Answer with a text that says what went wrong. The command prints this text."""
         error = given.get("exc_info", (None, self._reason))[1]
         self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a bug in the page: {error!r}"})
 

@@ -1,5 +1,5 @@
-"""Devices: the paired devices, and the code that pairs a new one. A paired device has a token with which it may reset
-and enable. Pure.
+"""Devices: the paired devices, and the code that pairs a new one. A paired device has a token. The token allows it to
+do more than watch and stop, for example to reset a stop and to enable motion. Pure.
 
 The page stores only the hash of a token, so that nobody can use a token by reading the file.
 """
@@ -62,8 +62,9 @@ class Devices:
         return list(self._by_digest.values())
 
     def free_name(self, name: str) -> str:
-        """A name for a new device, based on the wanted one and safe to show. If another device has the same name, a
-        number is added, so that the reason of a stop shows which device it was."""
+        """The name to give to a new device. It is made from the wanted name `name`, and is safe to show. If another
+        device already has the same name, a number is added. So the reason of a stop shows which of the devices has
+        requested the stop."""
         wanted, taken = clean(name), {device.name for device in self.all()}
         for number in range(2, MOST + 2):
             if wanted not in taken:
@@ -95,7 +96,7 @@ class Devices:
 
     @classmethod
     def load(cls, data: bytes) -> Devices:
-        """The devices from the content of their file. Raises ValueError if it is damaged."""
+        """Read the devices from the content of their file. Raises ValueError if the content is damaged."""
         try:
             rows: list[dict[str, Any]] = json.loads(data)
             found = tuple(

@@ -1,9 +1,9 @@
 """Driving: lets an operator drive with the page's thumb stick. The operator's device must be paired, and must prove
 that the operator is present.
 
-A command arrives together with the device's answer to a nonce of the robot. The command counts from the time at which
-the robot made that nonce, so a late network can't make it look fresh. The gate uses it for the source's timeout, 0.3 s,
-and applies the limits.
+A command arrives together with the device's answer to a nonce of the robot. The robot treats the command as if it had
+arrived when the nonce was made. So a command that the network has delayed does not look fresh. The gate obeys the
+command for the timeout of its source, 0.3 s, and applies the speed limits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
-"""The source under which commands are sent, if the settings declare it. Otherwise they are sent as cmd_vel."""
+"""The source under which the page sends its commands, if the settings declare a source with this name. Otherwise the
+page sends its commands as cmd_vel."""
 OTHER_S = 0.5
 """How long after one person's last command another person may drive, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
@@ -33,8 +34,8 @@ DISABLED = "motion is disabled: enable it, then hold the stick again"
 
 
 def share(said: str) -> tuple[float, float] | None:
-    """Parse a command of the stick. Returns (forward, left), each from -1 to 1, or None if the text is not a
-    command."""
+    """Parse a command of the stick. Returns (forward, turn), each from -1 to 1, or None if the text is not a command. A
+    positive turn is to the left."""
     try:
         forward, turn = (float(word) for word in said.split())
     except ValueError:
@@ -49,8 +50,7 @@ class Driving:
         wanted, attended = settings.on("web.drive"), settings.on("attend.required")
         self.on = wanted and attended
         self.lacks = UNATTENDED_DRIVE if wanted and not attended else ""
-        """Why nobody can drive from the page although web.drive is on. Empty if driving is possible, or if web.drive is
-        off."""
+        """If web.drive is on but nobody can drive from the page, this text says why. Otherwise it is empty."""
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
@@ -63,8 +63,9 @@ class Driving:
         """Viewers who held the stick while motion was disabled. Their stick moves nothing until they let go of it, even
         if motion is enabled again."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each stick that is held: the epoch when it was pushed, and when motion had been enabled at that time
-        (ns)."""
+        """For each viewer who holds the stick, the robot's epoch and the time at which motion was last enabled (ns).
+        Both were read when the viewer began to push the stick. If either has changed since then, the viewer must let go
+        of the stick before it can drive again."""
 
     def has_chosen(self, device: Device | None) -> bool:
         """True if the operator of this device has chosen a speed limit. It is also True if no choice is needed, because
@@ -76,8 +77,9 @@ class Driving:
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """Carry out a driving command of a viewer that attends. `said` is the command's text, which the viewer's answer
-        has proven. Returns why the robot does not drive, or ""."""
+        """Carry out a driving command of a viewer that attends. `said`: the command's text. The viewer's answer has
+        proved that the text comes from the viewer's device. `proven_ns`: when the device was certainly present
+        (CLOCK_MONOTONIC, ns). Returns the reason why the robot does not obey the command, or "" if it does."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
@@ -99,7 +101,8 @@ class Driving:
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
     def _newest(self, state: State) -> State:
-        """The robot's newest state if somebody is driving. Otherwise the given state, which may be 0.1 s old."""
+        """The robot's present state if somebody is driving. If nobody is driving, this returns `state`, which may be
+        0.1 s old."""
         with contextlib.suppress(FailstopError):
             return self._robot.state if self._robot else state
         return state
@@ -115,8 +118,8 @@ class Driving:
         return ""
 
     def release(self, viewer: Viewer) -> None:
-        """The viewer has let go of the stick, so the robot slows down to zero along its ramp. No proof is needed,
-        because this moves nothing."""
+        """The viewer has let go of the stick, so the robot slows down to zero along its ramp. No proof that the
+        operator is present is needed, because slowing down is not dangerous."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
@@ -124,8 +127,8 @@ class Driving:
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Viewer) -> None:
-        """The viewer no longer attends, so stop its command at once. If it attends again later, its operator must
-        choose a speed limit again."""
+        """Stop the robot at once if this viewer drives it, because the viewer no longer attends. If the viewer attends
+        again later, its operator must first choose a speed limit again."""
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)

@@ -23,8 +23,9 @@ HEADER = "X-Failstop"
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, or directly from
-the person, for example from the address bar."""
+"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, or that the person
+has opened the address directly, for example in the address bar. An empty value means that the browser has not sent the
+header."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -48,7 +49,8 @@ class PageRequest:
 
     method: str
     scheme: str
-    """http or https, whichever the request used to arrive here."""
+    """The scheme of the request as this process has received it, http or https. Behind a proxy, the browser may have
+    used the other scheme."""
     host: str
     """The header Host, including the port."""
     origin: str = ""
@@ -71,7 +73,7 @@ def origin_of(setting: str) -> str:
 
 
 def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
-    """All host names of the robot, besides its addresses. These are its own host name, the same name with .local,
+    """All host names under which the robot can be reached. These are its own host name, the same name with .local,
     localhost, the names in the setting `more` (separated by blanks), and the name in `origin`."""
     own = hostname.lower().partition(".")[0]
     proxied = host_of(origin.partition("://")[2])

@@ -24,7 +24,7 @@ LINES_OF_A_DEFECT = 6
 
 
 class Guarded(RequestHandler):
-    """The base of all handlers: it checks each request by the guard."""
+    """The base of all handlers. It lets the guard check each request."""
 
     SUPPORTED_METHODS = ("GET", "HEAD", "POST")
 
@@ -77,13 +77,15 @@ class Guarded(RequestHandler):
 
     @property
     def scheme(self) -> str:
-        """http or https, as the browser used it. Behind a proxy this may differ from what arrives here."""
+        """The scheme that the browser has used, http or https. Behind a proxy, this process may receive the request
+        with a different scheme."""
         return self.page.scheme or self.request.protocol
 
     @property
     def cookie(self) -> str:
-        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-. Browsers let only
-        the robot's own HTTPS answers set such a cookie, so neither plain HTTP nor another host name can."""
+        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-. A browser accepts a
+        cookie with such a name only from the robot itself over HTTPS. It refuses the cookie over plain HTTP, or from
+        another host name."""
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
@@ -150,8 +152,8 @@ class StopHandler(Guarded):
 
 
 class Check(Guarded):
-    """Answers a request like STOP that stops nothing. The page sends it when it opens, to find out whether the robot
-    accepts its requests."""
+    """Answers a test request, which passes the same checks as STOP but does not stop the robot. The page sends it when
+    it opens, to find out whether the robot accepts its requests."""
 
     def post(self) -> None:
         """Answer that the request was accepted."""
@@ -220,8 +222,8 @@ class Forget(Guarded):
 
 
 class Verb(Guarded):
-    """Disables motion or lowers the speed limit, for paired devices. Anything for which a button must be held goes
-    through the websocket instead."""
+    """Disables motion or lowers the speed limit, for paired devices. Requests for which a person must hold a button,
+    for example enable, arrive through the websocket instead."""
 
     async def post(self, verb: str) -> None:
         """Answer with the gate's decision about `verb`."""

@@ -1,9 +1,9 @@
 """Hold: makes sure that a person really holds a button for two seconds. It uses the page's messages and the robot's
 clock. Pure: times are arguments (time.monotonic()).
 
-The page sends a message when the hold begins, and then ten per second while it lasts. After two seconds the robot asks,
-and the page must confirm that the button is still held. If a message comes too late, the hold fails. So a frozen page
-or a slow network can't send a request for a button that was released long ago.
+The page sends a message when the hold begins, and then ten per second while it lasts. After two seconds the robot asks
+the page whether the button is still held, and the page must confirm it. If any of these messages comes too late, the
+hold fails. So a frozen page or a slow network can't send a request for a button that was released long ago.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Hold:
     identity: str
     """The id that the page gave to this hold."""
     epoch: int
-    """The epoch that the page had when the hold began. It identifies the newest stop that the person could see."""
+    """The robot's epoch that the page knew when the hold began. It identifies the newest stop that the person could see
+    at that time."""
     percent: int | None
     """The requested speed limit, in percent. None for other requests."""
     begun_s: float
@@ -41,13 +42,14 @@ class Hold:
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """Returns True once, when the button has been held for HOLD_S. Then ask the page to confirm."""
+        """Returns True when the button has been held for HOLD_S. The caller must then ask the page to confirm the hold.
+        Later calls return False, so the page is asked only once."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s
         return True
 
     def sure(self, now_s: float) -> bool:
-        """Note the page's confirmation that the button is still held. Returns False if the robot has not asked for it,
-        or if it came too late."""
+        """Note the page's confirmation that the button is still held. Returns False if the robot has not asked for the
+        confirmation, or if the confirmation came too late."""
         return self.held(now_s) and self.enough_s is not None and now_s - self.enough_s <= SURE_S

@@ -1,6 +1,6 @@
-"""Incidents: lists the saved incidents as cards, and makes their stories and pictures. These are made by `failstop
-incident` in a separate process, because drawing needs matplotlib, which takes several times the memory of the whole
-page."""
+"""Incidents: lists the saved incidents as cards, and gets their stories and pictures. It runs `failstop incident` in a
+separate process to make them, because drawing needs matplotlib, which takes several times the memory of the whole page.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Made:
 
 
 class Incidents:
-    """The incidents of one service. Only one story or picture is made at a time. A request for another one is answered
-    at once with "not ready"."""
+    """The incidents of one service. Only one story or picture is made at a time. If a viewer asks for a story that is
+    not made yet, it gets an answer at once, which says that the story is not ready."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -63,13 +63,13 @@ class Incidents:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """The story's lines, with times in ms from the cause, and True if there is a picture. Each of the two values is
-        None until it is made."""
+        """The story's lines, with times in ms from the cause, and True if the incident has a picture. The first value
+        is None until the story is made. The second value is None until it is known whether the picture can be made."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
     def picture(self, identity: str) -> bytes | None:
-        """The picture as PNG. It is empty if this computer can't draw it, and None if it is not made yet."""
+        """The picture as PNG. None if the picture is not made yet. Empty if this computer can't draw pictures."""
         return self._of(identity).picture
 
     def _of(self, identity: str) -> Made:
@@ -119,7 +119,7 @@ class Incidents:
         return said if made.returncode == 0 else b""
 
     def close(self) -> None:
-        """Cancel what is being made, and remove the pictures."""
+        """Cancel the story or picture that is being made, and remove the folder with the pictures."""
         if self._making:
             self._making.cancel()
         self._pictures.cleanup()
@@ -131,8 +131,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The story's lines from the seconds around the cause, in their order. If there are more than LINES, only the
-    closest to the cause."""
+    """The story's lines from the seconds around the cause, in their order. If the story has more than LINES such lines,
+    only the LINES lines that are closest to the cause are returned."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

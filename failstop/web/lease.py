@@ -4,8 +4,8 @@ The robot sends a nonce, which is a random text, and the device answers with the
 device was present when the nonce was made, whenever the answer arrives. So an answer that the network delayed does not
 count as a new sign of life. Only the two newest nonces are accepted, and each only once.
 
-A driving command can travel with an answer. The same HMAC then proves the command, and the command counts from the same
-time.
+An answer can contain a driving command. The HMAC then proves the command too, and the command counts as given when the
+nonce was made.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Lease:
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. Returns True if it proves that the device was present at a later time than proven before.
-        `said`: a command that came with the answer and is proven by it."""
+        """Check an answer. Returns True if it proves something new: the device was present at a later time than any
+        earlier answer has proved. `said`: a command that came with the answer and is proven by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

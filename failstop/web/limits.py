@@ -1,4 +1,5 @@
-"""Limits: restricts how often somebody may ask for something. Pure: the time is an argument."""
+"""Limits: restricts how often requests are accepted, for example the tries of one address to pair. Pure, because the
+time is an argument."""
 
 from __future__ import annotations
 
@@ -6,7 +7,8 @@ MOST_KEYS = 1024
 
 
 class Limit:
-    """A token bucket for each key: it allows `burst` requests at once, and after that `per_s` requests per second."""
+    """Limits the requests of each key, for example of each network address. Each key has a token bucket, which allows
+    `burst` requests at once, and after that `per_s` requests per second."""
 
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s
@@ -14,8 +16,8 @@ class Limit:
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, key: str, now_s: float) -> bool:
-        """Use up one token of this key. Returns True if there was one, so that the request is allowed. `now_s`:
-        time.monotonic(). If the time went backwards, no tokens are added."""
+        """Use up one token of this key. Returns True if the key had a token, so the request is allowed. Returns False
+        if the key had no token left. `now_s`: time.monotonic(). If the time went backwards, no tokens are added."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)
         if len(self._left) >= MOST_KEYS:  # drop the oldest key, so that invented keys can't fill the memory

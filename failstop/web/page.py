@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 
 ID_BYTES = 4
 REVOKED = 1008
-"""The code that closes a websocket for a reason of policy (RFC 6455)."""
+"""The code that closes the websocket of a device that was unpaired. RFC 6455 calls it "policy violation"."""
 MOST_STOPS = 64
-"""How many STOP websockets may be open. A page without one sends its STOP as a plain request instead."""
+"""How many STOP websockets may be open. If a page has no STOP websocket, it sends its STOP as a plain request
+instead."""
 
 
 class Page:
@@ -125,8 +126,9 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """Unpair the device with this id. Returns its name, or "" if no device has this id. Raises FailstopError if
-        this could not be saved. The device is then unpaired only until the page ends."""
+        """Unpair the device with this id. Returns its name, or "" if no device has this id. Raises FailstopError if the
+        new list of devices could not be saved. In this case the device stays unpaired until the page ends, but it is
+        paired again after a restart of the page."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:
@@ -142,7 +144,8 @@ class Page:
         return found.name
 
     def join(self, viewer: Viewer) -> None:
-        """Add a viewer, and start reading the state if it is the first one."""
+        """Add a viewer, and send it the state. If it is the only viewer, this also starts the timer that reads the
+        robot's state again and again."""
         self.viewers.append(viewer)
         if not self._timer.is_running():
             self._timer.start()

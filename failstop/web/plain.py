@@ -20,8 +20,9 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """The answer to such a request: a sentence, and a redirect to HTTPS at the same host name. It redirects only if
-    that is the robot's name. The first bytes of the request may be missing."""
+    """The answer to a plain HTTP request that has arrived at the HTTPS port. It has a sentence for the person. If the
+    request names this robot as its host, the answer also redirects the browser to HTTPS at the same host. The first
+    bytes of the request may be missing."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -51,8 +52,8 @@ def attend(stream: IOStream, known: frozenset[str]) -> None:
 
 
 def _send_answer(connection: socket.socket, known: frozenset[str]) -> None:
-    """Send the answer without TLS. The rest of the request is read first, because otherwise the kernel would reset the
-    connection, and the answer would be lost."""
+    """Send the answer without TLS. First this reads the bytes of the request that are left. Otherwise the kernel would
+    reset the connection, and the answer would be lost."""
     request = socket.socket.recv(connection, MOST)
     socket.socket.send(connection, answer(request, known))
     socket.socket.shutdown(connection, socket.SHUT_WR)

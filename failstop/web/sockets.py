@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MOST_VIEWERS = 64
 MOST_ASKED = 8
 STUCK_S = 10.0
-"""How long a viewer may receive nothing, s. Then its connection is closed."""
+"""How long sending one message to a viewer may take, s. If it takes longer, the viewer's connection is closed."""
 MOST_EPOCH = 1 << 62
 HELD_VERBS = ("reset", "enable", "limit")
 
@@ -35,7 +35,8 @@ class Socket(Guarded, WebSocketHandler):
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """Take the connection out of the server's limit, because it has become a websocket."""
+        """Tell the server that this connection has become a websocket, so that it no longer counts as one of the
+        server's limited connections."""
         if self.ws_connection and self.ws_connection.stream:
             self.page.let_in(self.ws_connection.stream)
 
@@ -68,8 +69,8 @@ class StopSocket(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def on_message(self, message: str | bytes) -> None:
-        """Request the stop with this id before doing anything else. If more than MOST_ASKED stops wait for their
-        answers, further ones are requested but not answered."""
+        """Request the stop whose id is in the message, before doing anything else. If MOST_ASKED stops of this
+        connection still wait for their answers, a further stop is requested too, but it gets no answer."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
@@ -95,8 +96,9 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Check the request by the guard, and check that there is room for one more viewer. If there is none, a paired
-        device takes the place of a viewer that is not paired."""
+        """Let the guard check the request, and check that the number of viewers is below MOST_VIEWERS. If the page
+        already has MOST_VIEWERS, a paired device takes the place of a viewer that is not paired. Every other new viewer
+        is refused."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
@@ -134,8 +136,8 @@ class Live(Socket):
             self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
-        """Handle the answer to a nonce. It proves that the device is present, and may contain a driving command. An
-        answer without a command means that nobody holds the stick."""
+        """Handle the device's answer to a nonce. The answer proves that the device was present, and may contain a
+        driving command. An answer without a command means that nobody holds the stick."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
@@ -187,8 +189,8 @@ class Live(Socket):
             self.send({"hold": held.identity, "enough": True})
 
     async def _ask(self, held: hold.Hold) -> None:
-        """Make the request for which the button was held. It is refused if there is a newer stop than the person could
-        see."""
+        """Make the request for which the button was held. The request is refused if the robot was stopped again after
+        the person began to hold the button, because the person may not have seen that stop."""
         if self.device() is None:  # revoked since
             done, said = False, "this device is not paired"
         elif self.page.newest_stop() != held.epoch:
@@ -203,8 +205,8 @@ class Live(Socket):
         self.send({"hold": identity, "done": done, "said": said})
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send the newest values. This never waits: if the viewer has not received the last message yet, it gets none
-        this time."""
+        """Send the newest values. This never waits. If the last message to the viewer has not been sent completely yet,
+        this sends nothing."""
         if self._sending is not None and not self._sending.done():
             connection = self.ws_connection
             if now_s - self._sent_s > STUCK_S and connection and connection.stream:
@@ -222,7 +224,7 @@ class Live(Socket):
         self._sent_s = now_s
 
     def send(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Start sending a message. If the viewer has just left, it is removed from the page."""
+        """Start sending a message. If the connection is closed already, the viewer is removed from the page."""
         sending = self.later(message if "t" in message else {"t": time.time(), **message})
         if sending is None:
             self.page.leave(self)

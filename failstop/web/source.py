@@ -10,7 +10,8 @@ class Source:
     """Where the page's settings come from."""
 
     path: str = ""
-    """The path of the settings file. Empty if no file was found, and then all settings have their defaults."""
+    """The path of the settings file. Empty if no file was read. Without a file, the settings come from the running
+    service, or all of them have their defaults."""
     running: bool = False
     """True if the settings come from the running service."""
 

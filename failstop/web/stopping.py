@@ -15,7 +15,7 @@ from failstop.messages import layout, records
 from failstop.shm import bell
 
 WRITTEN_S = 0.3
-"""How long to wait until a stop is written, s. After that, the page sends its request again."""
+"""How long to wait until a stop is written, s. If the stop is not written in time, the page sends its request again."""
 LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
@@ -31,8 +31,8 @@ class Request(Data):
 
 
 class Pipe:
-    """The stop pipe of the running service. It is kept open between stops, because opening it takes longer than a
-    stop."""
+    """The stop pipe of the running service. The pipe is kept open between stops, because opening the pipe takes longer
+    than requesting a stop."""
 
     def __init__(self, name: str) -> None:
         """`name`: the name of the service."""
@@ -72,8 +72,8 @@ class Pipe:
 
 
 class Asked:
-    """The latest stops that pages requested. A page may send a stop by websocket and as a plain request, with the same
-    id. Both together count as one stop."""
+    """The latest stops that pages requested. A page may send the same stop twice with the same id, by websocket and as
+    a plain request. The two requests count as one stop."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -89,8 +89,8 @@ class Asked:
             return Request(unix_s, error=error)
 
     def _ask(self, who: str, known: str) -> int:
-        """Request a stop. Returns when it was requested (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it
-        could not be requested."""
+        """Request a stop, unless a stop with this id was requested before. Returns the time of the request
+        (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it could not be requested."""
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
@@ -103,9 +103,9 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait until a stop is written that was requested at `asked_ns`. Returns True once the port owner reports a stop as
-    written to the board. If no port owner can write it, the supervisor does, and its report counts too. Returns False
-    after WRITTEN_S, and if there is no service or no board."""
+    """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner or
+    the supervisor reports that it has written a stop. The supervisor writes the stop itself if no port owner can do it.
+    Returns False if the stop was not written within WRITTEN_S, or if no service is running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

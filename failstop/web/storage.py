@@ -25,7 +25,7 @@ KEY = "key.pem"
 CERTIFICATE = "certificate.pem"
 CONTROL = "control"
 DAYS = 825
-"""How long a certificate is valid, days. Browsers accept no longer time."""
+"""How long a certificate is valid, days. Browsers refuse certificates that are valid for longer."""
 RENEW_S = 30 * 86400.0
 OPENSSL_S = 30.0
 
@@ -41,7 +41,7 @@ def folder(name: str, environ: Mapping[str, str]) -> str:
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
     """The folders in which the running page of this service may have its files: this user's folder, and the system's. A
-    command looks for the page in both."""
+    command such as `failstop web pair` looks for the page in both folders."""
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
@@ -75,13 +75,13 @@ class Storage:
             raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair your devices again") from None
 
     def keep(self, devices: Devices) -> None:
-        """Save the devices. If that fails, the old file stays as it was. Raises FailstopError."""
+        """Save the devices. If the new file can't be written, the old file stays as it was. Raises FailstopError."""
         self._write(DEVICES, devices.dump())
 
     def keep_fewer(self, devices: Devices) -> None:
-        """Save the devices after one was revoked. This works even if the disk is full, because the old file is then
-        overwritten in place. If the computer crashes in the middle of that, the file is damaged, and no device is let
-        in. Raises FailstopError."""
+        """Save the devices after one was revoked. If the disk is full, no new file can be written, so this overwrites
+        the old file in place. If the computer crashes while the file is overwritten, the file may be damaged. The page
+        does not start with a damaged file, so no device gets rights by mistake. Raises FailstopError."""
         try:
             self.keep(devices)
         except FailstopError as error:
@@ -131,7 +131,7 @@ class Storage:
         return ":".join(found[at : at + 2] for at in range(0, len(found), 2))
 
     def _valid(self) -> bool:
-        """True if there is a certificate that is valid for at least RENEW_S more."""
+        """True if the certificate exists and does not expire within the next RENEW_S."""
         if not (os.path.exists(self.path(KEY)) and os.path.exists(self.path(CERTIFICATE))):
             return False
         words = ("x509", "-in", self.path(CERTIFICATE), "-noout", "-checkend", str(int(RENEW_S)))
@@ -159,7 +159,7 @@ class Storage:
 
 
 def _openssl(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run openssl with these arguments. Raises FailstopError if it is not installed, or does not end in time."""
+    """Run openssl with these arguments. Raises FailstopError if openssl is not installed, or does not end in time."""
     try:
         return subprocess.run(("openssl", *words), capture_output=True, text=True, timeout=OPENSSL_S, check=False)
     except FileNotFoundError:

@@ -118,8 +118,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """The last stop, with its three proofs in words. If a proof is missing, its text is empty, and `lacks` has a text
-    about it. None if there was no stop."""
+    """The last stop, with its three proofs in words. The text of a proof is empty if the proof is missing, and `lacks`
+    then has the reason, if it is known. None if there was no stop."""
     if stop is None:
         return None
     return {
@@ -149,8 +149,8 @@ def _unseen(stop: Stop) -> str:
 
 
 def _written(stop: Stop) -> str:
-    """How long it took until the stop's bytes were sent, in words. Empty if they were not sent, or if the kernel still
-    holds them."""
+    """How long it took until the stop's bytes were sent, in words. Empty if the bytes were not sent, or if the kernel
+    still holds them back."""
     if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
@@ -175,7 +175,8 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """For reset, enable and disable: why the request would be refused, as a clause. Empty if it would be granted."""
+    """For each of the requests reset, enable and disable, a few words that say why it would be refused at present.
+    Empty for a request that would be granted."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),

@@ -1,4 +1,4 @@
-"""Viewer: what the page needs to know about a connection of somebody who looks at it."""
+"""Viewer: what the page's server needs to know about the connection of a browser that shows the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class Viewer(Closing, Protocol):
     """A connection to somebody who watches the robot's state."""
 
     def device(self) -> Device | None:
-        """The viewer's paired device. None if it is not paired, so that it may only watch and stop."""
+        """The paired device that this viewer uses. None if the device is not paired, so the viewer may only watch and
+        stop."""
 
     def who(self) -> str:
         """The viewer's name, to show to people."""

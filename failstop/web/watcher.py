@@ -17,7 +17,7 @@ PERIOD_S = 0.1
 SLOW_S = 0.5
 """How often to update the values that people read, s. If something important changes, they are updated at once."""
 AGAIN_S = 0.5
-"""How often to look for a service, s, while none is running."""
+"""While no service is running, the time between two attempts to find a service, s."""
 
 
 class Watcher:
@@ -40,8 +40,8 @@ class Watcher:
         self._text = ""
 
     def look(self, now_s: float, unix_s: float) -> None:
-        """Read the state. Call it every PERIOD_S while there are viewers, and before a single request. `now_s`:
-        time.monotonic(). `unix_s`: Unix time."""
+        """Read the state. Call it every PERIOD_S while there are viewers. Also call it before answering a request that
+        needs the present state. `now_s`: time.monotonic(). `unix_s`: Unix time."""
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None

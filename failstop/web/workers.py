@@ -10,14 +10,16 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
-"""Requests that happen at a touch. For all others, and for a higher speed limit, a button must be held."""
+"""Requests for which a person only touches a button. For all other requests, and for raising the speed limit, the
+person must hold the button."""
 MOST_AT_WORK = 4
 
 
 class Workers:
-    """Carries out each request in its own thread. So a slow request, such as an enable with an arm, delays no STOP and
-    no other request. A delayed reset would even be dangerous, because it could clear a stop that its operator has not
-    seen."""
+    """Carries out each request in its own thread. So a slow request, such as an enable with an arm, does not delay a
+    STOP or another request. If all threads are busy, a new request is refused at once, because a request must not wait.
+    A delayed reset would even be dangerous, because it could clear a stop that happened after the operator had asked
+    for the reset."""
 
     def __init__(self, name: str) -> None:
         self._name = name
