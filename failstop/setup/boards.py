@@ -1,5 +1,5 @@
-"""Boards: finds out which board is connected to a port, and shows what the board reports. It sends the board a stop
-first, and turns no wheel."""
+"""Boards: finds out which board is connected to a port, and shows what the board reports. First of all it sends the
+board a stop. It never turns a wheel."""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ QUESTIONS = {
 """All questions of the setup. Each key is a question, and its text is the help of the option that answers it."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
-"""What to do if a stand test did not pass, for each verdict that has a remedy of its own. For other verdicts, ROWS_SAY
-is shown."""
+"""For some verdicts of a stand test that did not pass, a text that says what to do. For all other verdicts, ROWS_SAY is
+shown."""
 UNMOVED = "no wheel was turned"
 NOTHING = "no settings were written"
 
@@ -98,7 +98,7 @@ def main(arguments: Namespace) -> int:
 
 def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     """Go through the six steps. As soon as the board is known, a Halt for it is appended to `halts`, so that the caller
-    can see which stop was the newest."""
+    can report how the newest stop of the wheels went."""
     style.show([[("failstop setup", style.STRONG), (": set up a robot and test its stops, in six steps", style.PLAIN)]])
     talk.say("Ctrl-C stops the wheels and quits, and keeps your answers. You see the settings before they are written.")
     _resume(talk)
@@ -150,7 +150,8 @@ def layouts_of(kind: str) -> list[str]:
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """Ask which robot it is. Returns its name, the settings that are known for it, and True if its sizes are known."""
+    """Ask the person which model of robot has this board. Returns the model's name, the settings that are known for the
+    model, and True if the model's sizes are known."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER

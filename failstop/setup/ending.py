@@ -1,5 +1,5 @@
-"""Ending: for a program that turns wheels through its own service. It makes sure that the program stops the wheels
-before it exits, even if a signal ends it. The laboratory's programs use it too."""
+"""Ending: makes sure that a program which turns wheels through its own service stops them before it exits, even if a
+signal ends the program. Setup uses this module, and so do the programs of the laboratory."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Within this context, SIGTERM and a lost terminal (SIGHUP) end the program the way Ctrl-C does. So the program
-    stops the wheels before it exits."""
+    """Within this context, SIGTERM and a lost terminal (SIGHUP) raise KeyboardInterrupt, as Ctrl-C does. So the program
+    can stop the wheels before it exits."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt

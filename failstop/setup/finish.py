@@ -39,12 +39,13 @@ CONSENT = "spin\n"
 """The word that `failstop prove` wants to read before it turns the wheels."""
 FROZEN = "frozen"
 GIVES_UP = 3
-"""The number of the signal at which a hanging command is killed. The first Ctrl-C ends the stand test. If the board is
-unplugged, the test then waits for it, and the second Ctrl-C ends this waiting. So the third one kills."""
+"""How many signals kill a hanging command. The first Ctrl-C ends the stand test. If the board is unplugged at that
+time, the test waits until the board is plugged in again. The second Ctrl-C ends this waiting. So only the third signal
+kills."""
 REPLACE = "replace"
 NOT_YET = "service"
-"""The name of a check of the doctor, which setup leaves out. The check wants a running service, but the service is
-started only after the setup."""
+"""The name of the check that setup leaves out when it runs the doctor's checks. The check needs a running service, but
+the service is started only after the setup."""
 RESULT = "result.json"
 
 
@@ -64,7 +65,7 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
     """The sixth step of the setup: run the short stand test with these settings. Returns the evidence of the test, or
-    an empty dict if it was not made. If a person or a signal ends the test, `halt` stops the wheels, and
+    an empty dict if no test was made. If a signal such as Ctrl-C ends the test, `halt` stops the wheels, and
     KeyboardInterrupt is raised."""
     talk.step(6, "The proof")
     if not here("prove"):
@@ -103,7 +104,7 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
 
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
     """Run a command until it exits. `said` is written to its input. Returns its exit code, and True if a signal has
-    arrived, after which this program must exit too.
+    arrived. After a signal, this program must exit too.
 
     The command stops the wheels before it exits, so this function waits for it. Ctrl-C reaches the command directly
     from the terminal. Other signals are passed on as SIGTERM. At signal number GIVES_UP, the command is killed, because
@@ -148,7 +149,8 @@ def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) 
 
 
 def write(talk: Talk, made: str, name: str) -> str:
-    """Show the settings, ask for a path, and write the settings to it. Returns the path. Raises Left."""
+    """Show the settings, ask for the path of a file, and write the settings to that file. Returns the path. Raises
+    Left."""
     style.show([[], [("The settings", style.STRONG)]])
     style.show([[(f"   {line}", style.PLAIN)] for line in made.splitlines()])
     style.show([[]])
@@ -187,8 +189,8 @@ def write(talk: Talk, made: str, name: str) -> str:
 
 
 def _replace(answer: str) -> str:
-    """Check the answer to the question whether an existing file may be replaced. The whole word must be typed, because
-    a yes is typed too easily. Raises NotAnAnswer."""
+    """Check the answer to the question whether an existing file may be replaced. The person must type the whole word
+    "replace", because "yes" is typed too easily. Raises NotAnAnswer."""
     if answer.strip() not in (REPLACE, NO):
         raise NotAnAnswer(f"type the whole word {REPLACE}, or {NO}")
     return answer.strip()
@@ -268,8 +270,8 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """The command that tests this robot on its stand. The command contains `path`, because it would otherwise read the
-    installed settings. If `path` is the installed file, it is left out."""
+    """The command that tests this robot on its stand. The command has the option --config with `path`, because it would
+    otherwise test with the installed settings file. If `path` is the installed file, the option is left out."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 

@@ -1,5 +1,5 @@
-"""Halt: stops the wheels without a service, and finds out whether they have stopped. Programs of failstop use it when
-their own service has ended.
+"""Halt: stops the wheels without a service, and finds out whether they have stopped. A program that turns wheels
+through its own service uses this module after the service has ended.
 
 It writes the board's stop directly to the port. Then it asks the board whether the stop has arrived, and reads what the
 board reports about its wheels. If the port is unplugged, it tells the person, waits, and writes the stop as soon as the
@@ -36,13 +36,14 @@ APART_S = 0.1
 STALE_S = 0.03
 """How long answers to an earlier program's questions may still arrive, s."""
 ANSWERS_S = 0.25
-"""How long to wait for one answer, s. Then the stop and the question are sent again."""
+"""How long to wait for the board's answer to one question, s. After that time, the stop and a question are sent
+again."""
 CONFIRMS_S = 1.5
 """How long to wait for the board's answer in total, s, including all repeats."""
 RESTS_S = 5.0
 """How long to wait until turning wheels are at rest, s."""
 REST_S = 0.2
-"""How long the board must report wheels at rest before this is believed, s."""
+"""How long the board must report wheels at rest until they count as at rest, s."""
 REPORTS_S = 1.0
 """How long to wait for the board's first report about its wheels, s. A board that sends none in this time counts as one
 that never reports."""
@@ -62,8 +63,8 @@ class Halt:
 
     def now(self, waits_s: float = WAITS_S) -> Halted:
         """Stop the wheels, and find out whether they have stopped. It raises nothing, because the result describes each
-        failure. If the port is unplugged, it waits up to `waits_s` for it. Ctrl-C, SIGTERM and SIGHUP end only this
-        waiting."""
+        failure. If the port is unplugged, this waits up to `waits_s` until the port is back. Ctrl-C, SIGTERM and SIGHUP
+        end only this waiting."""
         with noted() as signals:
             self.last = self._stop(waits_s, signals)
         return self.last
@@ -108,8 +109,8 @@ class Halt:
         return Halted(self._path, written=True, confirms=confirms, confirmed=confirmed, still=still)
 
     def _confirmed(self, tap: Tap) -> bool:
-        """True if the board has answered a question that was sent after a stop. The stop and the question are repeated
-        until the board answers, or until the time is up."""
+        """Ask the board a question after the stop. Returns True if the board has answered. Until the board answers, the
+        stop and the question are repeated. Returns False if the board has not answered within CONFIRMS_S."""
         deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
         hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:

@@ -1,8 +1,8 @@
 """Leftovers: cleans up after killed services that had one-time names, such as `setup-4711`.
 
-Usually a service that is started again removes what its last run has left. But nobody starts `setup-4711` again. So the
-next program that starts such a service removes what earlier ones have left: shared memory, the runtime folder, and a
-folder for files.
+Usually a service that is started again removes what its last run has left behind. But nobody starts `setup-4711` again.
+So a program that starts a service with a one-time name first removes what killed services with such names have left
+behind: shared memory, the runtime folder, and a folder for files.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def remove(name: str) -> None:
 
 
 def remove_ended(prefix: str) -> None:
-    """Clean up after services of this user that were named `prefix` + PID. If both the process PID and the service have
-    ended, everything that the service left is removed."""
+    """Clean up after this user's services whose names consist of `prefix` and a process id, for example `setup-4711`.
+    If both the service and the process with this id have ended, everything that the service has left behind is removed.
+    """
     names = {name.removeprefix("failstop.").partition(".")[0] for name in _listed(segments.SHM, "failstop.")}
     for base in instance.bases():
         names.update(_listed(base, prefix))

@@ -22,8 +22,8 @@ UNPLUG = "unplug"
 OTHER_PATH = "or the path of another port"
 NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
 BY = "/dev/serial"
-"""The folder of udev's names for serial ports. In its folder by-id, the names are made from what a device reports about
-itself. In by-path, they are made from the socket into which the device is plugged."""
+"""The folder of udev's names for serial ports. It has two folders. The names in by-id are made from what a device
+reports about itself. The names in by-path are made from the USB socket into which the device is plugged."""
 COMES_S = 10.0
 """How long to wait for the port of a board that was just plugged in, s."""
 LOOK_S = 0.1
@@ -51,10 +51,12 @@ def nodes() -> set[str]:
 
 
 def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
-    """A path for the port that stays the same when the board is plugged in again, or `path` itself if there is none.
+    """A path for the port that stays the same when the board is plugged in again. If the port has no stable path, this
+    returns `path` itself.
 
-    The udev rule names the port after its chip, and by-id after what the device reports about itself. A second device
-    of the same kind could get either name. So a name is used only if no other device could get it.
+    failstop's udev rule makes a name from the port's chip, and the folder by-id has a name that is made from what the
+    device reports about itself. If a second device of the same kind is plugged in, it could get either name. So a name
+    is used only if no other device could get it.
     """
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)
@@ -87,8 +89,8 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
 
 
 def is_serial(path: str) -> bool:
-    """True if the device is a serial port, as far as the kernel shows. It is also True for a pseudo-terminal, about
-    which the kernel shows nothing."""
+    """True if the kernel lists the device as a serial port. Also True for a pseudo-terminal, because the kernel does
+    not say what a pseudo-terminal is."""
     number = os.stat(path).st_rdev
     subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
     return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
@@ -141,8 +143,8 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """Why the serial pins of a Raspberry Pi can't be used as a port, with the remedy. The list is empty if they can be
-    used, and on other computers."""
+    """The reasons why the serial pins of a Raspberry Pi can't be used as a port, with the remedies. The list is empty
+    if the pins can be used, or if this computer is not a Raspberry Pi."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
         advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
@@ -151,7 +153,8 @@ def pins(system: System) -> list[Finding]:
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """Why failstop can't open this port, or can't have it for itself. The list is empty if it can."""
+    """The reasons why failstop can't open this port, or must share it with another program. The list is empty if
+    failstop can use the port alone."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
@@ -164,8 +167,8 @@ def _say(talk: Talk, row: Finding) -> None:
 
 
 def _let_end(path: str, system: System) -> None:
-    """If an earlier setup was killed, its service may still be stopping the wheels at this port. Wait up to ENDS_S for
-    it."""
+    """Wait up to ENDS_S until the service of an earlier setup has ended. If the earlier setup was killed, its service
+    may still be stopping the wheels at this port."""
     until_s = time.monotonic() + ENDS_S
     real = os.path.realpath(path)
     while any(holder.instance.startswith(RIG) for holder in system.holders(real)[0]) and time.monotonic() < until_s:

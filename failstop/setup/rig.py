@@ -1,4 +1,4 @@
-"""Rig: a service that runs during one step of the setup only, with the settings made so far.
+"""Rig: a service that runs during one step of the setup only, with the settings that setup has found so far.
 
 Setup turns wheels only through this service, so everything that stops a robot also stops the robot during setup. To
 turn one wheel alone, the rig uses settings and a velocity that move only this wheel. So the gate needs no special code
@@ -40,21 +40,22 @@ END_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
-"""The distance from the robot's middle to each wheel, m. It is a power of two, so that on one side the forward speed
-and the turning speed cancel exactly at every moment of their ramps."""
+"""The distance from the robot's middle to each wheel, m. To turn only one of two wheels, the robot drives forward and
+turns at the same time. At the other wheel, the two speeds must cancel exactly at every moment of their ramps. They do
+so because this distance is a power of two."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
-"""How much later than the answer to enable() the gate may publish that motion is enabled, s. It is this late only on a
-busy machine."""
+"""How much later than the answer to enable() the gate may publish that motion is enabled, s. The gate is that late only
+on a busy machine."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 
 Velocity = tuple[float, float, float]
 
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
-    """Returns settings and a velocity with which only the wheel with this id turns. The wheel turns in the direction
-    that is forward for its motor's wiring.
+    """Returns settings and a velocity that together turn only one wheel, the wheel with the id `id_`. The motor turns
+    in its own forward direction. The wheel may turn backward, because that depends on the motor's wiring.
 
     `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
     speeds, the board must have ids for at least three wheels.
@@ -96,8 +97,8 @@ def toml(values: Mapping[str, object]) -> str:
 
 
 class Rig:
-    """A service for one step of the setup. Use it as a context manager: at the end it stops the wheels, however the
-    step ends, and raises Left if they may still turn."""
+    """A service for one step of the setup. Use it as a context manager. However the step ends, the context stops the
+    wheels, and raises Left if the wheels may still turn."""
 
     def __init__(self, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`device`: the board's port. `values`: the settings. `halt` stops the wheels after the service has ended.
@@ -208,8 +209,8 @@ class Rig:
             self._hear(entry[2], places)
 
     def _stand(self) -> None:
-        """Stop, and wait until the board reports the stop, because people are asked about a wheel only when nothing
-        moves. Raises Left."""
+        """Stop the wheels, and wait until the board reports that they are stopped. After that, setup asks the person
+        which wheel has turned. Raises Left."""
         assert self._robot
         epoch = self._robot.state.epoch
 

@@ -2,7 +2,7 @@
 
 Keys that begin with `about.` are for people (name, port, remark), and all other keys are settings. If `board.robot`
 names the robot's family, the file has no sizes, because the service knows them. Some robots are built in different
-sizes. Their files have no sizes either, but `about.measure`, a text about what to measure.
+sizes, so their files have no sizes either. Such a file has `about.measure`, a text about what a person must measure.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Known:
     port: str
     remark: str
     measure: str
-    """What a person must measure, because each such robot has its own sizes. Empty if the sizes are known."""
+    """What a person must measure if robots of this kind are built in different sizes. Empty if the sizes are known."""
     settings: dict[str, object]
     """The robot's settings, each with its whole key, for example `wheels.layout`."""
 

@@ -47,14 +47,14 @@ class Talk:
         style.show([[], [(f"{number}. {title}", style.STRONG)]])
 
     def say(self, text: str, role: str = style.PLAIN, indent: int = 3, hang: int = 0) -> None:
-        """Print a sentence, wrapped to the terminal's width. `hang`: how many columns further than the first line the
-        other lines are indented."""
+        """Print a sentence, wrapped to the terminal's width. `hang`: how many additional columns all lines after the
+        first one are indented."""
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
     def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
-        """Print a problem and its remedy. `fix` is a command that helps. It is printed on one line, so that it can be
-        copied."""
+        """Print a problem and its remedy. `fix`: a command that helps. The command is printed on one line, so that a
+        person can copy it."""
         self.say(text, style.WARN)
         if fix:
             style.show([[(f"     -> {fix}", style.STRONG)]])
@@ -174,8 +174,8 @@ def word_of(words: Sequence[str]) -> Check:
 
 
 def begun(answer: str, words: Sequence[str]) -> str | None:
-    """The word that the person meant. It is the word that equals the answer, or the only word that begins with it. None
-    if no word fits, or more than one."""
+    """The word that the person meant. It is the word that equals the answer, or else the only word that begins with the
+    answer. None if no word begins with the answer, or if several words do."""
     text = answer.lower().strip()
     found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
     return found[0] if len(found) == 1 else None

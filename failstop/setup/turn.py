@@ -1,8 +1,10 @@
-"""Turn: finds out how many of the board's units make one turn of a wheel. Only a person can find out.
+"""Turn: finds out how many of the board's units make one turn of a wheel. This needs a person, because the board can't
+know that number.
 
-The board uses the same scale for commands and for reports, so they agree even if the scale is wrong. That is why a
-person turns a wheel by hand: the board's counts before and after show the true scale. If no wheel can be turned by
-hand, failstop drives a wheel slowly, and the person counts its turns.
+Many boards use one scale both for the speeds that they are commanded to drive and for the speeds that they report. So
+the two speeds agree even if the scale is wrong, and comparing them shows nothing. Instead, a person turns a wheel by
+hand, and the change of the board's counts shows the true scale. If no wheel can be turned by hand, failstop drives a
+wheel slowly, and the person counts its turns.
 """
 
 from __future__ import annotations
@@ -26,14 +28,16 @@ from failstop.supervisor.port_handover import OwnPort
 KEY = "per_rps"
 UNKNOWN = "unknown"
 SLOWEST_MPS = min(CAPS["limits.vx_mps"], CAPS["limits.vy_mps"])
-"""The speed of the wheel's rim, m/s. It respects the speed cap that applies until somebody has confirmed the scale."""
+"""How fast the rim of a wheel moves while a person counts the wheel's turns, m/s. It is the highest speed that is
+allowed before a person has confirmed the scale."""
 SECONDS = 10.0
 ASK_S = 0.1
 REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
 """How many counts a position must change to count as a turn. A smaller change is play or noise."""
 OTHERS = 0.2
-"""If a second wheel has moved by more than this share of the first wheel's change, it was turned too."""
+"""The largest share by which any other wheel may have moved, compared with the wheel that the person has turned. If
+another wheel has moved further, the person has turned two wheels."""
 MOST_TURNS = 100.0
 
 
@@ -138,7 +142,8 @@ def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) ->
 
 
 def _wrong(counts: list[float]) -> str:
-    """Why these changes can't come from turning one wheel. Empty if they can."""
+    """Check the changes of the wheels' counts after a person has turned a wheel. Returns a text about the problem if no
+    wheel or several wheels have moved. Empty if exactly one wheel has moved."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
         return "The board counted nothing: is that wheel's encoder plugged in?"
@@ -174,8 +179,8 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """The corrected value of board.per_rps. With the present value a wheel should have made `told` turns, but it made
-    `turns`."""
+    """The corrected value of board.per_rps. According to the present value, the wheel has made `told` turns. The person
+    has counted `turns`."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

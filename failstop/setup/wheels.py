@@ -43,8 +43,8 @@ def names(count: int) -> list[str]:
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
     """Check the answer about a wheel, and return it in its usual form. For example, `fl+` means that the front left
-    wheel turned forward. The answers again and faster are also allowed. With `spare`, an id may have no wheel, so the
-    answer none is allowed too. Raises NotAnAnswer."""
+    wheel turned forward. The answers "again" and "faster" are also allowed. With `spare`, an id may have no wheel, so
+    the answer "none" is allowed too. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
         return text
@@ -57,15 +57,16 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """Ask the person whether the wheels may turn. This is asked in every setup, even if it was answered before. Raises
-    Left if the answer is no."""
+    """Ask the person whether the wheels may turn. The question is asked in every setup, even if an earlier setup has
+    asked it already. Raises Left if the answer is no."""
     talk.say(STAND, style.STRONG)
     if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
 
 
 class Trial:
-    """The third step of the setup: turns the wheels, and asks which wheel turned and in which direction."""
+    """The third step of the setup: turns the wheels, and asks the person which wheel has turned, and in which
+    direction."""
 
     def __init__(self, talk: Talk, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`values`: the settings so far. `halt` stops the wheels of this board. Raises SettingError."""
@@ -156,7 +157,8 @@ class Trial:
 
     def _scale(self) -> dict[str, object]:
         """Compare the wheels' measured speed with the commanded speed. If they differ, return the corrected scale as
-        settings, else nothing. This needs a board that reports speeds in its own unit."""
+        settings, else nothing. It returns nothing for a board whose reports depend on the setting board.per_rps,
+        because such reports agree with the commands even if the scale is wrong."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
@@ -182,7 +184,8 @@ class Trial:
         self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """Turn the wheel of one id, and ask which wheel it was. It repeats this until the person names the wheel."""
+        """Turn the motor with this id, and ask the person which wheel has turned. The motor turns again until the
+        person names the wheel."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if not talk.known(key):
@@ -216,7 +219,7 @@ class Trial:
 
     def _together(self, values: Mapping[str, object]) -> str:
         """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first
-        question that was answered with no, or an empty text if there was none. Raises Left."""
+        question that the person has answered with no. Empty if all answers were yes. Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))
