@@ -57,7 +57,8 @@ ONCE = 1
 client, and sends only a few of them at a time."""
 ANYHOW = 0
 """MQTT's quality of service 0: any number of messages can be sent, but messages are lost if the connection breaks. All
-subscriptions use it, because then the broker waits for no acknowledgements, even if somebody floods the topic."""
+subscriptions use it, so the broker never has to wait for this client to acknowledge a message, even if somebody floods
+a topic."""
 
 
 class Broker:

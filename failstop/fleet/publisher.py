@@ -141,8 +141,8 @@ class Publisher:
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
         self._word = message.ONLINE
-        """The state of this robot's connection, for example message.ONLINE. It is published at each new connection to
-        the broker."""
+        """The state of this robot's connection, message.ONLINE or OFFLINE. The publisher publishes the state each time
+        it connects to the broker."""
         # The number makes the client's name unique. Otherwise two robots of one name would end each other's connection.
         name = f"failstop-{robot_id}-{self.number}"
         wanted = (*self._stop_topics(), self._connection_topic)

@@ -50,7 +50,8 @@ QUESTIONS = {
     "file": "where to write the settings",
     "replace": "replace: overwrite the file if it exists (a copy of the old file is kept)",
 }
-"""All questions of the setup. Each key is a question, and its text is the help of the option that answers it."""
+"""All questions of the setup. For the key of each question, the help text of the command-line option that answers the
+question."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
 """For some verdicts of a stand test that did not pass, a text that says what to do. For all other verdicts, ROWS_SAY is

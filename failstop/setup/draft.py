@@ -1,4 +1,5 @@
-"""Draft: the answers that a person has given so far. A file keeps them until the setup is complete."""
+"""Draft: the answers that a person has given to the setup's questions so far. The answers are saved in a file until the
+setup is complete."""
 
 from __future__ import annotations
 

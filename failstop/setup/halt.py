@@ -27,8 +27,8 @@ port."""
 WAITS_S = 300.0
 """How long to wait for an unplugged port, s."""
 SETTLES_S = 0.3
-"""How long a port must be missing before this is reported, s. A port that is being opened again is missing for a moment
-only."""
+"""How long a port must be missing before the person is told that it is unplugged, s. A port may also be missing for a
+moment while it is being opened again."""
 RETRY_S = 0.02
 WRITES = 5
 """How many times a stop is written to a board that can't confirm it, because one stop alone may be lost on the line."""

@@ -34,8 +34,8 @@ RIG = "setup-"
 """The prefix of the service's name."""
 READY_S = 15.0
 GONE_S = 1.0
-"""How long a port must be missing to count as unplugged, s. A port that is being opened again is missing for a moment
-only."""
+"""How long a port must be missing until it counts as unplugged, s. A port may also be missing for a moment while it is
+being opened again."""
 END_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05

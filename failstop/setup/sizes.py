@@ -67,5 +67,6 @@ OPTIONS = {
     answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
-"""All questions of this step. Each key is a question, and its text is the help of the option that answers it."""
+"""All questions about sizes and limits. For the key of each question, the help text of the command-line option that
+answers the question."""
 assert all(option(key).startswith("--") for key in OPTIONS)

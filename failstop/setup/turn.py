@@ -42,8 +42,9 @@ MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """Ask a person for the scale. Returns the setting board.per_rps. If a wheel was turned, it also returns the setting
-    that confirms this value. Returns nothing if the board knows its own scale, or if the person can't tell.
+    """Ask a person for the scale. Returns the setting board.per_rps. If a wheel was turned, this also returns the
+    setting that confirms the scale. Returns nothing if the board knows its scale, or if the person does not know the
+    answer.
 
     `speeds` is the number of wheel speeds in a frame of the board. Raises Left.
     """

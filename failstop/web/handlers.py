@@ -93,7 +93,8 @@ class Guarded(RequestHandler):
         return self.get_cookie(self.cookie) or ""
 
     def device(self) -> Device | None:
-        """The paired device that sent the request. None if it is not paired, so that it may only watch and stop."""
+        """The paired device that sent the request. None if the request comes from a device that is not paired, which
+        may only watch and stop."""
         return self.page.devices.of(self.token())
 
     def who(self) -> str:
@@ -144,8 +145,8 @@ class StopHandler(Guarded):
     """Stops the robot. Anyone who can open the page may do this."""
 
     async def post(self) -> None:
-        """Request the stop, and answer as soon as it is written. If it is not written within 0.3 s, the answer says so,
-        and the page asks again."""
+        """Request the stop, and answer as soon as the stop is written to the board. If the stop is not written within
+        0.3 s, the answer says so, and the page sends its request again."""
         status, found = await self.page.stopped(self.page.asked.ask(self.who(), self.body().get("id")))
         self.set_status(status)
         self.finish(found)

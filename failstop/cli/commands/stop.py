@@ -433,8 +433,9 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """Try the port in the settings file, or the default port, because the port of the last run does not exist. The
-        board may have got another port when it was plugged in again. Returns True if a stop was written."""
+        """Write the stop to the port that the settings file names, or to the default port. This is only tried if the
+        port of the last run can't be used, because the board may have got a new port when it was plugged in again.
+        Returns True if a stop was written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False

@@ -181,8 +181,8 @@ class Pilot:
         return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
-        """Stop the wheels, and disable motion if this program has enabled it. Returns the result in words. If the
-        service can't be reached, the wheels stop when the last command expires."""
+        """Stop the wheels. If this program has enabled motion, this also disables motion. Returns a text that says what
+        was done. If the service can't be reached, its command timeout stops the wheels."""
         try:
             if self.enabled or self._asking():
                 return self.robot.disable()
