@@ -74,8 +74,9 @@ TABLE = (
     Row("make root write through a link", NOBODY, "failstop follows no link", "plant_link"),
     Row(
         "keep a user who is not logged in from starting a service", EVERYONE,
-        "such a user has no `/run/user/UID`, so the service would use `/dev/shm/failstop-UID`, and anybody can create this "
-        "folder first. Then the service writes the stop, names the folder and its owner, and ends. Root is never affected",
+        "such a user has no `/run/user/UID`, so the service would use `/dev/shm/failstop-UID`, and anybody can create "
+        "this folder first. Then the service writes the stop, names the folder and its owner, and ends. Root is never "
+        "affected",
         "be_in_the_way",
     ),
     Row(
