@@ -174,8 +174,9 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """The commanded angle of the steered wheels, which is the last of the gate's speeds. None on a base without
-        steering. Also None at rest, because the gate's angle means nothing while no wheel turns."""
+        """The commanded angle of the steered wheels. The gate publishes it after the speeds, as the last value of
+        `speeds`. None on a base without steering. Also None at rest, because the gate's angle means nothing while no
+        wheel turns."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 

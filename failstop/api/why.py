@@ -24,8 +24,8 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""Until this time has passed after a stop, in s, a missing proof may still come. So the text says, for example, "NOT
-acknowledged by the board yet". After this time it leaves out "yet"."""
+"""A missing proof may still come for this many seconds after a stop. So long, the text says, for example, "NOT
+acknowledged by the board yet". Later it leaves out "yet"."""
 
 
 @dataclasses.dataclass(frozen=True)

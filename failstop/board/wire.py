@@ -337,8 +337,9 @@ class Wire(Data):
     turn a steering servo."""
     aux: Callable[[bytes], str] | None = None
     """A function (frame) that checks an extra frame, for example one for a light. It returns why the frame must not be
-    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off, and may keep the board
-    from its next frame for at most 30 ms. With None, no extra frames are written: only motion, stops and questions."""
+    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off. It may delay the next
+    frame that the board reads by at most 30 ms. With None, only motion, stops and
+    questions are written."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
     """A function (all settings by their full keys) that returns what a driver program may write to the board at the
     guard port (driver.py). Import that module inside the function, because no process of the service needs it. None if

@@ -45,7 +45,7 @@ class Nothing:
         self._complained = False
 
     def look(self, now_ns: int) -> bool:
-        """Always True, because no service is needed."""
+        """A real service may end; here none is needed, so the result is always True."""
         return True
 
     def join(self, who: str, pid: int | None) -> None:

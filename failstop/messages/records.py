@@ -281,8 +281,8 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
 of the ping. For a motion frame, it is COMMANDED (failstop/board/handled.py), with the speeds that the board will
 report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""Two times in ns. A report of the board has proven that the board has handled everything that was written until the
-first time. The second time is when that report arrived."""
+"""Proof that the board has handled what was written to it. The first value is a time in ns: everything that was written
+before it was handled. The second value is when the board's report about this arrived, also in ns."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
 0 if the burst could not be passed); and the packed cause."""

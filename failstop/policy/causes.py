@@ -93,8 +93,8 @@ class Kind(Data):
 
 
 class Cause:
-    """Why the robot was stopped: a row of the table, with the arguments for this stop. `str(cause)` is the text for
-    people."""
+    """The cause of a stop: its kind, and the values for this stop, for example how long a process was silent.
+    `str(cause)` is the text for people."""
 
     __slots__ = ("arguments", "kind")
 

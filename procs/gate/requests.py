@@ -41,8 +41,8 @@ class Request(Data):
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
-        """The client's record with this name, which belongs to the request (see Slot.latest()). None for the gamepad,
-        because it has no slot."""
+        """Return the values that the client has published for this request under this record's name. None for the
+        gamepad, because it has no slot."""
         return self.slot.latest(record) if self.slot else None
 
 

@@ -255,8 +255,8 @@ class FeetechDriver:
         return []
 
     def _measured(self, servo: int, error: int, data: bytes) -> None:
-        """Keep the measured values in an answer. An answer does not name its question, but the answer's length shows
-        which question it was."""
+        """Store the measured values that an answer contains. An answer does not name its question, but the
+        answer's length shows which question it was."""
         if servo not in self._memory:
             return
         self._error[servo] = error

@@ -52,7 +52,7 @@ _FOR_PROGRAMS = "failstop steers by itself, and moves servos only for programs t
 
 
 class RrcDriver:
-    """One driver's frames, and what the driver gets from the board."""
+    """Reads the frames that one driver program writes to the guard port, and answers them as the board would."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, _FOREVER_NS, _PAST_NS

@@ -192,7 +192,7 @@ def _battery(incident: Incident) -> str:
 
 
 def _ages(incident: Incident) -> str:
-    """The ages of the newest readings when the cause came."""
+    """How old each newest reading, for example of the battery, was at the time of the stop's cause."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
     return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN
