@@ -154,8 +154,8 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 def unlatched(name: str) -> str:
     """A text that says when and why the wheels were last stopped without latching a stop, for example because motion
-    was disabled. The text also says that no incident was saved, because only a latched stop has an incident. Empty while
-    a stop is latched, and if the newest stop was a latched one."""
+    was disabled. The text also says that no incident was saved, because only a latched stop has an incident. Empty
+    while a stop is latched, and if the newest stop was a latched one."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:
