@@ -204,8 +204,8 @@ class Motors:
         return tuple(found) if len(found) == self.wheels else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. No bytes make it
-        raise an error."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. No bytes
+        make it raise an error."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
