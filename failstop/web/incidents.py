@@ -19,7 +19,9 @@ from failstop.incidents import files, memory
 
 MOST_SHOWN = 20
 FRESH_S = 2.0
-MAKE_S = 60.0
+MAKE_S = 300.0
+"""A story or a picture that is not ready after this many seconds is given up. The commands that make them give way to
+all other programs (`nice`), so on a busy computer a picture can take minutes."""
 MOST_PICTURES = 24
 LINES = 40
 NEAR_MS = 3000.0
@@ -84,9 +86,12 @@ class Incidents:
 
     async def _make(self, identity: str, made: Made) -> None:
         said = await self._command("show", identity, "--json")
+        if said is None:
+            return
         made.story = _near(json.loads(said)["story"] if said else [])
         path = os.path.join(self._pictures.name, f"{identity}.png")
-        await self._command("plot", identity, "-o", path)
+        if await self._command("plot", identity, "-o", path) is None:
+            return
         try:
             with open(path, "rb") as file:
                 made.picture = file.read()
@@ -99,8 +104,9 @@ class Incidents:
         if not done.cancelled() and (error := done.exception()):
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
-    async def _command(self, *words: str) -> bytes:
-        """Run `failstop incident` with these arguments, and return its output. Returns b"" if it failed."""
+    async def _command(self, *words: str) -> bytes | None:
+        """Run `failstop incident` with these arguments, and return its output. Return b"" if it failed, and None if it
+        was not ready in time, because then the next viewer who asks may have better luck."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
@@ -112,7 +118,7 @@ class Incidents:
         try:
             said, _ = await asyncio.wait_for(made.communicate(), MAKE_S)
         except asyncio.TimeoutError:
-            return b""
+            return None
         finally:
             if made.returncode is None:
                 made.kill()

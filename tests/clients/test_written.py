@@ -208,7 +208,8 @@ def a_state(draw: random.Random, now_ns: int) -> dict[str, Any]:
 def publish(made: OwnRun, draw: random.Random) -> None:
     """Whatever the processes may publish, all at once."""
     now_ns = time.monotonic_ns()
-    old_ns = draw.choice((now_ns, now_ns - 3_000_000_000, now_ns - LONG_NS))
+    ago_ns = max(1, now_ns - LONG_NS)  # this clock begins with the machine, which may have been started just now
+    old_ns = draw.choice((now_ns, max(1, now_ns - 3_000_000_000), ago_ns))
     made.writer(layout.GATE, "state").write(pack(a_state(draw, now_ns)), old_ns)
     epoch, cause = draw.getrandbits(64) if draw.random() < 0.2 else 0, a_cause(draw)
     latch = records.LATCH.pack(epoch, now_ns, now_ns, cause.pack())
@@ -217,7 +218,7 @@ def publish(made: OwnRun, draw: random.Random) -> None:
     made.word(layout.SUPERVISOR, "epoch").set(draw.getrandbits(64))
     made.word(layout.SUPERVISOR, "ready").set(draw.choice((0, 1, 2)))
     # Far from the lease, so that it does not end between C's look and Python's.
-    made.word(layout.SUPERVISOR, "beat_ns").set(draw.choice((now_ns + LONG_NS, now_ns + LONG_NS, now_ns - LONG_NS)))
+    made.word(layout.SUPERVISOR, "beat_ns").set(draw.choice((now_ns + LONG_NS, now_ns + LONG_NS, ago_ns)))
     port = records.PORT.pack(draw.getrandbits(64), now_ns, draw.randrange(len(records.PORT_STATES)), "/dev/robot")
     made.writer(layout.PORT_OWNER, "port").write(port, now_ns)
     telemetry = {
@@ -228,7 +229,7 @@ def publish(made: OwnRun, draw: random.Random) -> None:
         ),
         "wheels": records.WHEELS_SEEN.pack(
             draw.randrange(3), draw.randrange(3), draw.random() < 0.5, draw.randrange(5), now_ns,
-            draw.choice((0, now_ns + LONG_NS, now_ns - LONG_NS)),
+            draw.choice((0, now_ns + LONG_NS, ago_ns)),
             *(draw.choice((nan, *[draw.uniform(-50, 50)] * 9)) for _ in range(8)),
         ),
     }  # fmt: skip

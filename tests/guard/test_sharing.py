@@ -340,7 +340,8 @@ def test_a_terminal_that_root_hangs_up_is_replaced(desk: Desk, driven: bool) -> 
         desk.do(driver, OPEN, DRIVE % (7, 7))
         desk.says("motion: wheels 7 7")
     desk.do(root, "import fcntl, termios", OPEN, "fcntl.ioctl(port, 0x5437)", "os.close(port)")
-    lost = f", so python3 (pid {driver.child.pid}) has lost it: start it again" if driven else ""
+    name = Path(f"/proc/{driver.child.pid}/comm").read_text().strip()
+    lost = f", so {name} (pid {driver.child.pid}) has lost it: start it again" if driven else ""
     desk.says(f"root hung up the port (vhangup){lost}")
     assert desk.pty.name == os.readlink(desk.pty.path)
     again = desk.script()

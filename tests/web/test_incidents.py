@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+
+import pytest
+
 from failstop.web import incidents
 
 HEAD = {"id": "20260101-120000-key1", "t": 1.0, "saved": 3.2, "reason": "key1", "clock_jump_s": 0.0}
@@ -22,3 +26,26 @@ def test_the_story_is_of_the_seconds_around_the_cause() -> None:
     assert found == sorted(found)
     assert max(map(abs, found)) <= incidents.NEAR_MS
     assert 0.0 in found
+
+
+@pytest.mark.parametrize("late", ["show", "plot"])
+def test_what_was_not_ready_in_time_is_made_again_and_is_not_called_impossible(late: str) -> None:
+    """A picture that comes too late is no sign that this computer can't draw."""
+    ran: list[str] = []
+
+    async def command(what: str, *_words: str) -> bytes | None:
+        ran.append(what)
+        return None if what == late else b'{"story": []}'
+
+    async def ask() -> None:
+        made = incidents.Incidents("robot")
+        made._command = command  # type: ignore[method-assign]
+        for _ in range(2):
+            assert made.picture("one") is None
+            assert made._making
+            await made._making
+            await asyncio.sleep(0)  # its callback runs after it
+        made.close()
+
+    asyncio.run(ask())
+    assert ran.count(late) == 2
