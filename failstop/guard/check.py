@@ -7,8 +7,7 @@ from failstop.guard.said import GUARD, path_in
 
 
 def check(look: Look) -> list[Finding]:
-    """The findings about the guard port: which program drives through it, and what would keep that program from moving
-    the wheels."""
+    """Check which program drives through the guard port, and whether anything keeps it from moving the wheels."""
     clients = look.state.clients if look.state else ()
     found = [(path_in(client.sees), client) for client in clients if path_in(client.sees)]
     if not found:

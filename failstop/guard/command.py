@@ -39,8 +39,8 @@ PORT = "port"
 """The name of the guard port's link in the runtime directory."""
 LOOK_S = 0.5
 NICE = -10
-"""The guard's nice value. With it, the guard runs before ordinary programs, but after the service's real-time
-processes. Otherwise a driver that writes without end could take processor time from the service."""
+"""The guard's nice value. The guard then runs before ordinary programs, but after the service's real-time processes, so
+a driver that writes without end can't take processor time from the service."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
 
 
 class _Ends:
-    """Handles SIGTERM and Ctrl-C. `now` becomes True when one of the two has come, so the guard must end."""
+    """Handles SIGTERM and Ctrl-C. `now` is True once one of the two has come, and the guard must end."""
 
     def __init__(self) -> None:
         self.now = False
@@ -98,7 +98,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
-    """Wait until the service runs, and return its settings. Returns None if SIGTERM or Ctrl-C ends the guard first."""
+    """Wait until the service runs, and return its settings, or None if SIGTERM or Ctrl-C ends the guard first."""
     said = ""
     while not ends.now:
         if service.look(time.monotonic_ns()):
@@ -112,8 +112,8 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 def _usual(settings: Settings, name: str) -> str:
     """The path of the port if --path is not given. It is the setting guard.path if that is set. Otherwise the port is
-    in systemd's runtime folder for this unit, in the service's runtime folder, or in the user's runtime folder. The
-    first one that this user may write to is chosen."""
+    in systemd's runtime folder for this unit. If there is no such folder, it is in the service's runtime folder or in
+    the user's, whichever this user may write to first. Raises FailstopError if this user may write to neither."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):

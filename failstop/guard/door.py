@@ -1,9 +1,9 @@
-"""Door: knows which programs have the pseudo-terminal open, as far as Linux shows it. It also limits how many programs
-may have it open.
+"""Door: watches which programs have the pseudo-terminal open, as far as Linux shows it, and limits how many may open
+it.
 
-When a program is killed, the guard notices the end in three steps. First, /proc shows a pending SIGKILL or a flag of
-the process; the guard looks at /proc a few hundred times per second. Then the kernel frees the program's memory and
-closes its files, and inotify reports the close. Finally, the program's pidfd reports that the program is gone.
+When a program is killed, the guard notices the end in three steps. First, /proc shows that the process is ending; the
+guard looks there a few hundred times per second. Then the kernel frees the program's memory and closes its files, and
+inotify reports the close. Finally, the program's pidfd reports that the program is gone.
 
 A child may keep the port open after its parent has ended or has closed the port. The guard notices this in two ways:
 
@@ -66,8 +66,8 @@ class Door:
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
-        """Find out what has happened since the previous call. This must be quick, because the driver's bytes, which may
-        be a stop, are read only afterwards."""
+        """Find out what has happened since the previous call. This must be quick, because the driver's bytes are read
+        only afterwards, and they may be a stop."""
         news = News()
         for pid, opener in self.seen.items():
             if pid not in self._dying and (self._lives.get(pid) in ready or dying(pid)):
@@ -90,8 +90,7 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """True if the close that inotify has just reported belongs to a program whose end the guard has already
-        counted."""
+        """True if inotify has just reported the close of a program whose end the guard has already counted."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -99,9 +98,9 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
-        if two calls in a row find that it has no descriptor. One call is not enough, because inotify may be about to
-        report the program's close. Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child still has it open. Two calls in a row must
+        find that a program has no descriptor, because after one call inotify may still be about to report the close.
+        Raises OSError."""
         wanted, before = identity(self._pty.name), self._closed
         with contextlib.suppress(PermissionError):
             self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}

@@ -24,7 +24,7 @@ AT_DEATH = {
 """What happens, besides the stop, when a driver dies while it drives. The keys are the values of the setting
 gate.driver_death."""
 MOST_SHOWN = 200
-"""How many different motions of one driver are printed."""
+"""How many different motions are printed for one driver, and how many other frames."""
 
 
 class Nothing:
@@ -45,7 +45,7 @@ class Nothing:
         self._complained = False
 
     def look(self, now_ns: int) -> bool:
-        """A real service may end; here none is needed, so the result is always True."""
+        """Return True, because a dry run needs no service."""
         return True
 
     def join(self, who: str, pid: int | None) -> None:
@@ -54,8 +54,7 @@ class Nothing:
         self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
-        """Handle the end of a driver. If the driver did not end cleanly (`in_order` is False), print what failstop
-        would do."""
+        """Print what failstop would do at the end of a driver that did not end cleanly (`in_order` is False)."""
         if not in_order and self.settings:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
@@ -78,15 +77,15 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print `wrong`, but only once for each motion of the driver. Texts about refusals and about a driver's end are
-        left out, because the guard prints them itself."""
+        """Print `wrong` once for each motion of the driver. The guard itself prints refusals and a driver's end, so
+        this leaves them out."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")
 
     def block(self) -> None:
-        """Always None, because there are no wheels that could be blocked."""
+        """Return None, because nothing blocks motion in a dry run."""
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """Always empty, because there is no board."""
+        """Return an empty list, because no board sends anything."""
         return []

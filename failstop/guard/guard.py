@@ -55,8 +55,8 @@ LOOK_NS = 500_000_000
 SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
 PAST_NS = 4_000_000_000
-"""How long bytes from the board are kept. When a driver opens the port, the board's DriverLanguage first gets these
-bytes."""
+"""How long bytes from the board are kept. When a driver opens the port, the newest of these bytes are given to its
+DriverLanguage first."""
 A_DRIVER = "a driver"
 
 
@@ -72,7 +72,8 @@ class Guard:
         self._who = A_DRIVER
         """The driver's name, for people."""
         self._crowded = False
-        """True if more programs than may had the port open when it was last counted, before any of them ended."""
+        """True if the port was open too many times when this was last counted. It stays True while the end of one of
+        these programs is handled."""
         self._flooded = False
         self._wrote = False
         """True if the guard has read bytes from the current driver."""
@@ -83,7 +84,8 @@ class Guard:
         self._opened_ns = 0
         """When the driver was first seen."""
         self._hasty = ""
-        """A text for people if the previous driver closed the port right after it wrote a motion. Otherwise empty."""
+        """If the previous driver closed the port right after it wrote a motion, a text for people about this. Otherwise
+        empty."""
         self._told: set[str] = set()
         """Lines that are printed only once for each driver."""
         self._said = ("", "")
@@ -194,7 +196,7 @@ class Guard:
             self._tell(self._crowd())
 
     def _crowd(self) -> str:
-        """A text which says that too many programs have the port open, and what to do about it."""
+        """Return a text which says that the port is open too many times, and what to do about it."""
         count, seen = self._door.count, list(self._door.seen.values())
         allows = f"guard.openers allows {self._door.most}"
         if len(seen) == 1 and seen[0].times == count:
@@ -256,8 +258,8 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """Handle that a program has closed the port or died. This ends the conversation even if other programs still
-        have the port open, because nothing shows which of the programs wrote the bytes."""
+        """End the conversation, because a program has closed the port or died. Other programs may still have the port
+        open, but nothing shows which of the programs wrote the bytes."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
@@ -288,9 +290,9 @@ class Guard:
         return self._talk is not None and (self._talk.holds or self._crowded)
 
     def _ending(self, *, held: bool) -> str:
-        """A text which says that a program has ended. `held`: True if the last motion that the program wrote was not
-        zero. The text does not say that the wheels turned. Motion may have been disabled, or the service may have
-        ignored the program's commands until the program sends zero."""
+        """Return a text which says that a program has ended. `held`: True if the program's last motion was not zero.
+        The text does not say that the wheels turned, because motion may have been disabled, or the service may have
+        ignored the program's commands until it sends zero."""
         seen = list(map(str, self._door.seen.values()))
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:
@@ -298,8 +300,8 @@ class Guard:
         return f"{who} has ended{' or died while too many programs had the port open' if self._crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """Report that the driver wrote a motion and closed the port right afterwards. A script does this if it opens
-        the port again for each command."""
+        """Report that the driver wrote a motion and then closed the port at once, as a script does that opens the port
+        for each command."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
             f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
@@ -321,8 +323,8 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """Read and answer the driver's bytes while the guard does something that takes long. If the driver writes
-        faster than the guard reads, only the first call reads, and the rest of the bytes must wait."""
+        """Read and answer the driver's bytes while the guard does something that takes long. Once a call could not read
+        everything, further calls read nothing, so a driver that writes without end can't hold up the guard."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 

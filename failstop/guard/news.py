@@ -26,9 +26,9 @@ class News:
 
     def __init__(self) -> None:
         self.any = False
-        """True if a program may have opened or closed the port or may have ended. The guard should then find out again
+        """True if a program may have opened or closed the port, or may have ended. The guard must then find out again
         which programs have the port open."""
         self.ended = False
         """True if a program that had the port open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []
-        """Programs that have died or closed the port while one of their children still has it open."""
+        """Programs that have died while one of their children still has the port open."""

@@ -80,7 +80,7 @@ class Watch:
 
 
 class Held(Data):
-    """A descriptor with which a process has the terminal open."""
+    """One descriptor of the terminal, in one process."""
 
     pid: int
     fd: int
@@ -91,8 +91,8 @@ class Held(Data):
 def openers(
     path: str, before: Container[int], opened: int, meanwhile: Callable[[], None]
 ) -> tuple[dict[int, Opener], bool]:
-    """The programs that have opened the terminal and still have it open, by pid. The guard itself is left out. The
-    second value is True if /proc may hide more such programs.
+    """Find the programs that have opened the terminal and still have it open, except the guard itself. Returns (the
+    programs by pid, True if /proc may hide more of them).
 
     `before` and `opened`: see owners(). `meanwhile`: called after each process. If many processes run, the search takes
     longer than a driver waits for an answer.
@@ -140,8 +140,7 @@ def owners(
 
     `before`: the pids that the previous search found as owners. `same`: returns True if two descriptors share an
     opening, False if they don't, and None if the kernel does not say. `opened`: how many openings inotify has counted.
-    Where `same` returns None, more openings than this are never assumed.
-    """
+    If `same` returns None, a descriptor counts as a new opening only until this number is reached."""
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
         answers = [same(each, other) for other in first]
@@ -202,7 +201,8 @@ def dying(pid: int) -> bool:
 
 
 def _others(pid: int) -> Iterator[bytes]:
-    """The content of /proc/PID/task/TID/stat for each thread of a process except its main thread. Raises OSError."""
+    """Yield the content of /proc/PID/task/TID/stat for each thread of a process except its main thread. Raises
+    OSError."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
             with contextlib.suppress(OSError):
@@ -228,8 +228,7 @@ def _read(path: str) -> bytes:
 
 
 def program(pid: int) -> str:
-    """The name of the program that a process runs, for people. If the program is a script, the name is that of the
-    script's file."""
+    """The name of the program that a process runs, for people. For a script, it is the name of the script's file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
             words = os.fsdecode(file.read(4096)).split("\0")

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 READ_BYTES = 4096
 MOST_READ = 65536
-"""How many bytes from a driver are read at once. Without this limit, a driver that writes without end would keep the
-guard from its other work."""
+"""How many bytes from a driver are read at once, roughly. Without this limit, a driver that writes without end would
+keep the guard from its other work."""
 MODE = 0o660
 GROUP = "failstop"
 
@@ -49,7 +49,7 @@ class Pty:
         self.name = ""
         """The path of the slave."""
         self._left = b""
-        """The part of an answer that still must be written, if the terminal has accepted only the beginning."""
+        """The rest of an answer of which the terminal has accepted only the beginning."""
         self._lock = self._locked()
         try:
             self._open()
@@ -60,7 +60,7 @@ class Pty:
 
     def _locked(self) -> int:
         """Lock the file `path`.lock next to the link. Without the lock, two guards with the same path would take the
-        link from each other. The lock file is never removed. If it were, two guards could each lock a different file
+        link from each other. The lock file is never removed, because two guards could then each lock a different file
         with the same name. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
@@ -113,7 +113,7 @@ class Pty:
 
     def linked(self) -> bool:
         """True if the link still leads to this pseudo-terminal. When the service ends, it may remove its runtime
-        directory, and the link in it."""
+        directory with the link in it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
@@ -124,8 +124,8 @@ class Pty:
         self._link()
 
     def read(self) -> tuple[bytes, bool]:
-        """Read what the driver has written, at most MOST_READ bytes. Returns (the bytes, True if no more bytes are
-        waiting)."""
+        """Read what the driver has written, about MOST_READ bytes at most. Returns (the bytes, True if no more bytes
+        are waiting)."""
         found = bytearray()
         while len(found) < MOST_READ:
             try:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 _NUDGE = 1e-3
-"""The guard makes each speed larger by this fraction of the board's speed step. The driver's speeds are whole numbers
-of steps. The velocity that the guard computes from the speeds may be a tiny bit too small. The service rounds down to
-whole steps, so without the increase a wheel could turn a whole step slower."""
+"""The guard makes each speed larger by this fraction of the board's speed step. The driver's speeds are whole steps,
+but the velocity computed from them may be a tiny bit too small. The service rounds down, so without the increase a
+wheel could turn a whole step slower."""
 _ROUNDING = 1.001
 AXES = (
     ("limits.vx_mps", "forward or backward", "m/s"),
@@ -51,8 +51,8 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """If the velocity is beyond the settings' limits, returns a text with the commanded speed and the limit.
-        Otherwise the text is empty."""
+        """Return a text with the commanded speed and the limit if the velocity is beyond the settings' limits,
+        otherwise an empty text."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]

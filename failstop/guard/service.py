@@ -31,7 +31,7 @@ name, the guard uses the source cmd_vel."""
 
 
 class Service:
-    """The guard's connection to the service. While the service is not running, it waits for the service."""
+    """The guard's connection to the service. It connects again after the service was restarted."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -48,8 +48,7 @@ class Service:
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """True if the service is running. While it is not running, this method looks for it, at most once every
-        AGAIN_NS."""
+        """True if the service is running. If it is not, look for it, at most once every AGAIN_NS."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:

@@ -1,8 +1,8 @@
 """Talk: the conversation with one driver, from its first byte to its end. Pure: every time is an argument.
 
 For each kind of board, a DriverLanguage decodes the driver's bytes (failstop/board/driver.py). This file decides what
-follows from them. It decides which motion counts and for how long, and which answers are still useful. It also decides
-whether a driver that has ended had stopped the wheels first.
+follows from them. It decides which motion counts and for how long, which answers are still useful, and whether a driver
+stopped the wheels before it ended.
 
 The guard can't see when a driver wrote a motion. It counts the motion's age from the last moment at which no bytes from
 the driver were waiting. So an old motion never looks new, even if the guard was held up or the driver writes faster
@@ -23,17 +23,16 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 RENEW_NS = 100_000_000
-"""The driver's motion may count for longer than the service lets one command count. The guard then sends the command
-again, at least this often."""
+"""How often the guard sends a driver's motion to the service again, at least. The motion may count for longer than the
+service lets one command count."""
 FRAME_EVERY_NS = 20_000_000
 """The shortest time between two frames that are not motion, so that they leave the serial line free for motion."""
 MOST_FRAMES = 8
-"""How many frames that are not motion may wait to be sent. If this many are waiting, a frame of another kind is
-dropped."""
+"""How many frames that are not motion may wait to be sent, one of each kind. A frame of a further kind is dropped."""
 MOST_REFUSALS = 32
 """How many different refusals are reported for one driver."""
 LATE_FOR_NS = 3_000_000_000
-"""If a driver ends within this time after it got a late answer, the report about its end mentions the late answer."""
+"""The report about a driver's end mentions a late answer if the driver got it at most this long before."""
 NOT_WHEELS = "a motion that is not valid"
 
 
@@ -127,8 +126,8 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """If the driver got a late answer within the last LATE_FOR_NS, returns how long it may have waited for the
-        answer, and how long this kind of driver is willing to wait, both in ns. Otherwise returns None."""
+        """Return (how long the driver may have waited for its newest late answer, how long this kind of driver waits),
+        in ns. Returns None if the driver got no late answer within the last LATE_FOR_NS."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
@@ -143,7 +142,7 @@ class Talk:
         return [row.data for row in rows if isinstance(row, DriverAnswer)]
 
     def frame(self, now_ns: int) -> bytes:
-        """The driver's next frame that is not motion. Empty if none is due now."""
+        """Pop the driver's next frame that is not motion. Returns no bytes if none is due now."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
             return b""
         self._framed_ns = now_ns
@@ -157,14 +156,14 @@ class Talk:
         self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
 
     def refuse(self, what: str, why: str) -> None:
-        """Report that a request of the driver is refused. The same request is reported only once. `what`: the request.
+        """Report that a request of the driver is refused, but only once for the same request. `what`: the request.
         `why`: what failstop did instead."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
             self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Handle bytes from the board. Returns the frames for the driver. The caller must write each frame as a
+        """Handle bytes from the board, and return the frames for the driver. The caller must write each frame as a
         whole."""
         return self._language.heard(chunk, now_ns)
 
@@ -172,10 +171,8 @@ class Talk:
         """The command that must be sent to the service now. None if the service needs no new command.
 
         The service lets each command count only for its own timeout, which may be shorter than the driver's timeout. So
-        the guard sends the command again and again while the driver's motion counts. The last command carries an
-        earlier time, so that it expires exactly when the driver's motion expires. Because of this, the wheels stop in
-        time even if the guard hangs.
-        """
+        the guard sends the command again and again while the driver's motion counts. The time of the last command is
+        chosen so that it expires exactly when the motion does. So the wheels stop in time even if the guard hangs."""
         if self._speeds is None:
             return None
         last_ns, sent_ns = self._last_ns, self._sent_ns
@@ -190,8 +187,7 @@ class Talk:
 
     @property
     def _last_ns(self) -> int:
-        """The `t_ns` of the last command for the current motion. With this time, the command expires together with the
-        motion."""
+        """The `t_ns` of the last command for the current motion, which makes it expire together with the motion."""
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
@@ -212,8 +208,8 @@ class Talk:
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
         """End the conversation, because the driver has gone. `unread`: bytes from the driver that were not read yet.
-        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out. But if
-        the driver's last motion in `unread` is zero, the driver had stopped the wheels itself."""
+        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out, but if
+        the last one is zero, the driver had stopped the wheels itself."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
