@@ -1,5 +1,5 @@
-"""Door: watches which programs have the pseudo-terminal open, as far as Linux shows it, and limits how many may open
-it.
+"""Door: watches which programs have the pseudo-terminal open, as far as Linux shows it, and limits how many times it
+may be open.
 
 When a program is killed, the guard notices the end in three steps. First, /proc shows that the process is ending; the
 guard looks there a few hundred times per second. Then the kernel frees the program's memory and closes its files, and

@@ -55,8 +55,8 @@ LOOK_NS = 500_000_000
 SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
 PAST_NS = 4_000_000_000
-"""How long bytes from the board are kept. When a driver opens the port, the newest of these bytes are given to its
-DriverLanguage first."""
+"""How long bytes from the board are kept. When a driver opens the port, the guard first gives the newest of these bytes
+to its DriverLanguage."""
 A_DRIVER = "a driver"
 
 
@@ -84,8 +84,8 @@ class Guard:
         self._opened_ns = 0
         """When the driver was first seen."""
         self._hasty = ""
-        """If the previous driver closed the port right after it wrote a motion, a text for people about this. Otherwise
-        empty."""
+        """A text which says that the previous driver closed the port right after it wrote a motion. Empty if it did
+        not."""
         self._told: set[str] = set()
         """Lines that are printed only once for each driver."""
         self._said = ("", "")
@@ -300,7 +300,7 @@ class Guard:
         return f"{who} has ended{' or died while too many programs had the port open' if self._crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """Report that the driver wrote a motion and then closed the port at once, as a script does that opens the port
+        """Report that the driver closed the port right after it wrote a motion. A script does this if it opens the port
         for each command."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "

@@ -60,8 +60,8 @@ class Pty:
 
     def _locked(self) -> int:
         """Lock the file `path`.lock next to the link. Without the lock, two guards with the same path would take the
-        link from each other. The lock file is never removed, because two guards could then each lock a different file
-        with the same name. Raises FailstopError."""
+        link from each other. The lock file is never removed, because otherwise two guards could each lock a different
+        file with the same name. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)

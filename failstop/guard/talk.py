@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 RENEW_NS = 100_000_000
-"""How often the guard sends a driver's motion to the service again, at least. The motion may count for longer than the
-service lets one command count."""
+"""The longest time between two commands for the same motion. The guard repeats the command, because the motion may
+count for longer than the service lets one command count."""
 FRAME_EVERY_NS = 20_000_000
 """The shortest time between two frames that are not motion, so that they leave the serial line free for motion."""
 MOST_FRAMES = 8
