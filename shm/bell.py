@@ -30,8 +30,8 @@ class EventBell:
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake the process that waits for this bell. If the eventfd's counter is full, the process has not looked for
-        very long. The bell is still ringing then, so nothing needs to be written."""
+        """Wake the process that waits for this bell. If the eventfd's counter is full, the bell is still ringing, so
+        nothing needs to be written."""
         # Not contextlib.suppress, because it costs more than the call itself. The same applies to clear().
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
@@ -39,8 +39,8 @@ class EventBell:
             pass
 
     def clear(self) -> None:
-        """Clear all rings up to now. Call it before you look for work. If a ring comes while you work, it then wakes
-        you again."""
+        """Clear all rings up to now. Call this before you look for work, so that a ring during the work wakes you
+        again."""
         try:  # noqa: SIM105
             os.read(self.fd, 8)
         except BlockingIOError:
@@ -96,7 +96,7 @@ the machine has no memory left."""
 
 
 def receive(fd: int) -> bytes:
-    """All bytes that wait in a pipe, at most MOST_BYTES. Empty if there are none."""
+    """Read all bytes that wait in a pipe, at most MOST_BYTES. Returns no bytes if none wait."""
     try:
         return bytes(memoryview(_received)[: os.readv(fd, (_received,))])
     except BlockingIOError:

@@ -12,9 +12,8 @@ A reader may copy a mixture of old and new bytes, for example if the writer dies
 the private copy then shows the damage. So a reader never accepts a damaged value, in whatever order the processor loads
 and stores the bytes. Never use `struct.pack_into` on shared memory: it writes zeros first, and a reader would see them.
 
-A Latest consists of two cells that are written in turn. Its value is the newest whole cell. A Ring is a stream of
-entries.
-"""
+A Latest consists of two cells that are written in turn. Its value is that of the newest whole cell. A Ring is a stream
+of entries."""
 
 from __future__ import annotations
 
@@ -94,8 +93,8 @@ def check(raw: bytes, crc_seed: int) -> Entry | None:
 
 
 def cell_bytes(capacity: int) -> int:
-    """How many bytes a cell for a payload of at most `capacity` bytes takes. The cell fills whole 64-byte lines, so no
-    two cells share a line."""
+    """The size of a cell for a payload of at most `capacity` bytes. Cells fill whole 64-byte lines, so no two cells
+    share a line."""
     return -(-(CELL_HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
 
 
@@ -120,8 +119,8 @@ class _Cells:
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """The numbers of all whole entries, from one copy of the whole record. This skips empty cells quickly, and most
-        rings are nearly empty. It is still too slow for frequent use."""
+        """The numbers of all whole entries, from one copy of the record. Too slow for frequent use, although it skips
+        empty cells quickly."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
         seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
         return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
@@ -223,8 +222,8 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of the next cell, if they were found blank or with an older entry. While the bytes stay the same,
-        the reader does not check them again."""
+        """The bytes of the next cell if it was blank or held an older entry. While the bytes stay the same, the reader
+        does not check them again."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 

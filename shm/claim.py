@@ -3,9 +3,8 @@ record locks.
 
 When the last descriptor of the lock's holder is closed, the kernel drops the lock. So a crash leaves no lock behind. If
 the holder forks, the child has the lock too until it calls exec, so a child may keep the lock after the holder has
-died. The content of the file means nothing. A classic POSIX lock would be lost as soon as any thread or library of the
-process closed the same file. An open-file-description lock is not lost then.
-"""
+died. The content of the file means nothing. A classic POSIX lock would not do, because it is lost as soon as any thread
+or library of the process closes the same file."""
 
 from __future__ import annotations
 

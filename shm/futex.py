@@ -31,8 +31,8 @@ from failstop.shm.words import LINE_BYTES
 
 PER_BLOCK = 2
 BLOCKS = 256
-"""The number of blocks of futexes. Each started process gets one block, which has one line for each watching process. A
-process that starts later gets the same block only after 255 other starts."""
+"""The number of blocks of futexes. Each started process gets one block, which has a line for each watching process. A
+block is used again only after about 250 other starts."""
 
 _OWNER_DIED = 1 << 30
 _WAITERS = 1 << 31  # without this bit, the kernel marks the word but wakes nobody
@@ -75,9 +75,9 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Duplicate the descriptor of the file, and use the duplicate from now on. The caller may then close `fd` at
-        any time. Without the duplicate, the number of the closed `fd` might be given to a different file, and a thread
-        that is about to hold this futex would write to that file. Call this at most once. Raises OSError."""
+        """Duplicate the descriptor of the file, so that the caller may close `fd` at any time. Without the duplicate,
+        the number of the closed `fd` might be given to a different file, and a thread that is about to hold this futex
+        would write to that file. Call this at most once. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 

@@ -53,9 +53,8 @@ class Lifeline:
     """Watches one process for death. `fd` becomes readable when the process has died, and stays readable."""
 
     def __init__(self, pid: int = 0) -> None:
-        """`pid`: the process to watch. It is 0 if the process's pid is not known in this namespace, for example because
-        the process runs in a container. Only the early report can come then. Raises ProcessLookupError if no such
-        process exists."""
+        """`pid`: the process to watch, or 0 if its pid is not known in this namespace, for example because it runs in a
+        container. With 0, only the early report can come. Raises ProcessLookupError if no such process exists."""
         self.pid = pid
         self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
         self.watched = False
@@ -88,10 +87,9 @@ class Lifeline:
     def demote(self) -> None:
         """Take real-time priority from every thread of the dying process. Call this when the stop is written.
 
-        The kernel needs half a millisecond or more to free the dying process's memory. If it freed the memory at
-        real-time priority, other kernel threads could not use the same core meanwhile. One of them may be sending the
-        stop's bytes.
-        """
+        The kernel needs half a millisecond or more to free the dying process's memory. If it did this at real-time
+        priority, other kernel threads could not use the same core meanwhile, and one of them may be sending the stop's
+        bytes."""
         with contextlib.suppress(OSError):
             for thread in os.listdir(f"/proc/{self.pid}/task"):
                 with contextlib.suppress(OSError):
