@@ -25,21 +25,21 @@ SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
 """How long after a stop the saver is started. The start blocks the supervisor until the new process gets a processor
 core, and meanwhile the supervisor can't renew the lease for motion. So the saver starts before anyone can have enabled
-motion again. It also starts after the stop's repeats at 20 and 100 ms, so that it does not delay them."""
+motion again, but after the stop's repeats at 20 and 100 ms, so that it does not delay them."""
 COPY_NS = 2_200_000_000
-"""How long after a stop the saver copies the rings. Everything that can be learned about a stop is known after 2.0 s
+"""How long after a stop the saver copies the rings. After 2.0 s, nothing more can be learned about a stop
 (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""After a run has died, the next run starts a saver for it. This is the longest time that this saver waits until the
-next run is ready."""
+"""The next run starts a saver for a dead run. This is how long that saver waits, at most, until the next run is
+ready."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
-"""How many stops may wait for a saver. A person must reset each stop before another stop can be latched, so it is very
-unlikely that more stops wait."""
+"""How many stops may wait for a saver. More are very unlikely, because a person must reset each stop before another
+stop can be latched."""
 ON_TIME_NS = START_NS
-"""If a saver is late by more than this, it is not started while the robot may move. Someone may have enabled motion in
-the meantime, and starting a saver could hold up the driver."""
+"""A saver that is late by more than this is not started while the robot may move, because starting it could hold up the
+driver."""
 GIVE_UP_NS = 30_000_000_000
 """A stop is not saved if its saver is late by more than this. By then, the rings hold less than half a minute from
 before the stop."""
@@ -117,9 +117,9 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """Start a saver for an earlier run, if that run did not end cleanly. Starting the saver later could hold up a
-        driver, so it is started now. But until the current run is ready, the saver only waits, so it does not slow down
-        the start of the service."""
+        """Start a saver for an earlier run, if that run did not end cleanly. It starts now, because a later start could
+        hold up a driver. But it waits until the current run is ready, so that it does not slow down the start of the
+        service."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)

@@ -44,8 +44,8 @@ def main(argv: list[str]) -> int:
 
 def fail(error: Exception) -> NoReturn:
     """Print the error and end this process at once, as if it had been killed. A normal exit of the interpreter would
-    take 5 ms, and the robot would be stopped 5 ms later. The traceback looks like Python's, but has no source lines. It
-    is printed only if stderr can accept it at once."""
+    take 5 ms, and the robot would be stopped 5 ms later. The traceback has no source lines. It is printed only if
+    stderr can accept it at once."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

@@ -17,7 +17,7 @@ from failstop.supervisor import starter
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
-"""How long a process may take to start. If it has not reported after this time that it runs, it is killed."""
+"""How long a process may take to start. If it does not report within this time that it runs, it is killed."""
 LONGEST_WAIT_NS = 2_000_000_000
 
 # The states of a process, as words that people read.
@@ -49,9 +49,9 @@ NEXT = {
     FENCED: {BEATS: FENCED, TERMINATED: DEAD},
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""For each state of a process, the next state after each event. If a state has no entry for an event, the event should
-be impossible in that state. If such an event happens, failstop has a bug: the process keeps its state, and the robot is
-stopped. DOWN has an entry for STARTED, because a gate that is down is started again after a minute."""
+"""For each state of a process, the next state after each event. An event without an entry should be impossible in that
+state. If it happens, failstop has a bug: the process keeps its state, and the robot is stopped. DOWN has an entry for
+STARTED, because a gate that is down is started again after a minute."""
 ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
@@ -92,7 +92,7 @@ class Child:
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
         """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
-        `settings`: if the lease in the settings is longer than the deadline in the row, the lease is the deadline. Such
+        `settings`: the lease in the settings is the deadline if it is longer than the deadline in the row, because such
         a lease means that the machine is too slow for a shorter deadline."""
         self.row = row
         self.beat = beat
@@ -111,18 +111,18 @@ class Child:
         self.restart = restart
         """The timer for the next start of the process."""
         self.fence: Fence | None = None
-        """If the process was killed because it hung, the record of the kill. Otherwise None."""
+        """The record of the kill if the process was killed because it hung, otherwise None."""
         self.excused_ns = 0
         """Silence before this time does not count against the process. It is 0 if nothing excuses the process."""
         self._spared_ns = 0
-        """If the process is silent because the machine does not run it, the time of its last beat. Otherwise 0."""
+        """The time of the process's last beat if it is silent because the machine does not run it, otherwise 0."""
         self.defects: list[Cause] = []
         """A cause of a stop for each event that should have been impossible. The supervisor stops the robot for each
         cause, and removes it from the list."""
         self.times_restarted = 0
         self.last_exit = ""
         self.killed = False
-        """True if the process has died before, and its newest death was by a signal."""
+        """True if the newest death of the process was by a signal."""
 
     def on(self, event: str) -> None:
         """Change to the state that NEXT names for this event. If NEXT has no entry for the event, record a defect."""
@@ -145,11 +145,10 @@ class Child:
         self.on(STARTED)
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
-        """Record a death and return how long to wait before the restart, ns. Only deaths in the time window
-        restart.window_s count. After the first death the process is restarted at once. After the second death the wait
-        is restart.backoff_s, and each further death doubles it, up to LONGEST_WAIT_NS. After too many deaths, returns
-        None: the process is not restarted and the robot stays stopped until a reset, because otherwise the process
-        could crash again and again."""
+        """Record a death, and return how long to wait before the restart, ns. Only deaths in the time window
+        restart.window_s count. The wait is 0 after the first death and restart.backoff_s after the second, and each
+        further death doubles it, up to LONGEST_WAIT_NS. Returns None after too many deaths: the process is not
+        restarted, because it could crash again and again, and the robot stays stopped until a reset."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -175,14 +174,14 @@ class Child:
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
         """Excuse a silence, because the machine did not run the process. From `now_ns` on, the process may be silent
-        for its full time again. `silent_ns`: how long it had been silent when the supervisor decided this. It may have
-        beaten since then."""
+        for its full time again. `silent_ns`: how long it had been silent when the supervisor looked. It may have beaten
+        since then."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """If a process whose silence was excused beats again, returns how long it was silent, ns. The silence is
+        """Return how long the process was silent, ns, if it beats again after its silence was excused. Each silence is
         returned only once. Otherwise returns 0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
@@ -191,8 +190,7 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """The time at which the process will count as hanging if it does not beat until then. NEVER if no beat is
-        expected."""
+        """When the process will count as hanging unless it beats before. NEVER if no beat is expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns

@@ -26,17 +26,17 @@ FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
-"""How long events wait at most while the bytes of a stop are not written yet. Normally a stop is written within 5 ms.
-If it takes longer, the stop probably can't be written at all, and people must learn about it."""
+"""How long events wait, at most, until a stop is written. Normally a stop is written within 5 ms. If it takes longer
+than this, the stop probably can't be written at all, and people must learn about it."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""How many bytes of an event's text, and of each of its fields, are kept. If the event is too long with the first pair
-of lengths, the second pair is used, and then the third."""
+"""The longest text of an event, and the longest value of each field, in bytes. If the event is too long with the first
+pair of limits, the second pair is used, and then the third."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not among them. A
-stop is latched only once, and then a person must reset it before another stop can be latched."""
+"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not one of them,
+because a person must reset a latched stop before another stop can be latched."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
 """How many bytes the events of one kind and level may take in the log per minute. A latched stop takes about 500 bytes,
@@ -49,7 +49,7 @@ LEAST_COLUMNS = 40
 PREFIX = "failstop: "
 """The first word of the service's log lines and of the commands' error messages."""
 JOINED = "\0"
-"""This character takes the place of a space at which the line must not be broken."""
+"""This character replaces a space at which a line must not be broken."""
 AFTER_UNIT = ".,;:!?)]'\""
 """Punctuation marks that may directly follow the unit of a number."""
 
@@ -121,8 +121,8 @@ class Events:
         self._journal = journal
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
-        """When the current minute began. Per minute, the events of one kind and level may take only a limited number of
-        bytes in the log."""
+        """When the current minute began. In each minute, the events of one sort may take only a limited number of bytes
+        in the log."""
         self._spent: Counter[FloodSort] = Counter()
         """How many bytes the events of each sort have taken in the log in the current minute. A sort is (kind, level,
         True if any user can cause the event again and again)."""
@@ -151,9 +151,8 @@ class Events:
         """Send the queued events. `hold`: True while the bytes of a stop are not written yet. The events are then sent
         only if they have already waited for LONGEST_HOLD_NS. `now_ns`: the time now; 0 at the end of the service.
 
-        If the log was flooded, some events were dropped. The number of dropped events is logged when the minute is
-        over, or at the end of the service.
-        """
+        If events were dropped because there were too many, their number is logged when the minute is over, or at the
+        end of the service."""
         over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
@@ -208,8 +207,8 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. The text may end with what the reader can do next. `what`: how many
-    characters come before that part of the text; 0 if the text has no such part."""
+    """One event for the ring, as a msgpack map. `what`: how many characters at the start of the text say what has
+    happened. The rest says what the reader can do next. 0 if there is no such rest."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
@@ -243,9 +242,9 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 
 def is_journal(stream: str) -> bool:
-    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM. There systemd reports
-    the device and the inode of the stderr that it has opened, as DEVICE:INODE. If stderr was redirected later, its
-    device or inode is different."""
+    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM. It names the device
+    and the inode of the stderr that systemd opened, as DEVICE:INODE. If stderr was redirected later, they are
+    different."""
     try:
         found = os.fstat(STDERR)
     except OSError:

@@ -18,8 +18,7 @@ from failstop.supervisor.stops import Stop
 
 
 class Latch:
-    """The latched stop and its epoch. Also the newest stop, which may have come while an earlier stop was latched.
-    Pure."""
+    """The latched stop with its epoch, and the newest stop, which may have come later. Pure."""
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
@@ -41,8 +40,8 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear the latch. If a stop has come after the person requested the reset at `asked_ns`, refuse the reset
-        instead, because the person did not know about that stop. A reset does not enable motion."""
+        """Clear the latch. The reset is refused if a stop has come after the person requested it at `asked_ns`, because
+        the person did not know about that stop. A reset does not enable motion."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
@@ -81,8 +80,7 @@ class Epochs:
         self._barrier = Barrier()
 
     def raise_for(self, stops: list[Stop], now_ns: int) -> None:
-        """Raise the epoch for these stops. This publishes the cause first and the new epoch second, and then it rings
-        the bells."""
+        """Raise the epoch for these stops: publish the cause, then the new epoch, and then ring the bells."""
         self.number += 1
         self.latch.add(stops, self.number, now_ns)
         self._latch_record.write(self.latch.as_record())

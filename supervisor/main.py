@@ -1,6 +1,5 @@
-"""The supervisor's loop. Deaths of processes come first. Then come the causes of stops that other processes have
-noticed. After that, the supervisor starts and watches processes. Only the supervisor raises the epoch, a counter of
-stops.
+"""The supervisor's loop. It first handles deaths of processes, then causes of stops that other processes have noticed.
+After that, it starts and watches processes. Only the supervisor raises the epoch, a counter of stops.
 
 Each turn of the loop runs in this order:
 
@@ -40,8 +39,8 @@ from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""The time between two beats of the supervisor, a third of the lease. Each beat renews the lease: it allows motion
-until the lease has passed."""
+"""The time between two beats of the supervisor, a third of the lease. Each beat allows motion until one lease has
+passed."""
 AT_REST_NS = 2 * TICK_NS
 """The time between two beats of the supervisor while nothing can move. No process checks the lease then, so a longer
 time is enough, and it saves processor time."""
@@ -53,16 +52,17 @@ STOP_ANSWER_NS = 5_000_000
 itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""If the supervisor was silent for this long, it could not see the beats of the other processes in time. So it does not
-count that silence against them. The value is two ticks less than the shortest deadline of a process."""
+"""If the supervisor was silent for this long, it could not see the other processes' beats in time, so it excuses their
+silence. The value is two ticks less than the shortest deadline of a process."""
 CLIENT_SILENT_NS = 150_000_000
-"""A healthy process beats at least ten times per second. If it was silent for this long, the machine has held it up."""
+"""A process that was silent for this long counts as held up by the machine. A healthy process beats at least ten times
+per second."""
 HEAR_NS = 300_000_000
 """At the end of the service, the supervisor writes a stop and waits this long for the board's answer. The ping that the
 board answers may be sent up to 50 ms after the stop (schedule.py)."""
 END_S = 2.0
-"""At the end of the service, the supervisor kills every process and waits at most this long for each of them to be
-gone. Then it writes the last burst."""
+"""How long the supervisor waits, at most, for each process that it kills at the end of the service, s. Then it writes
+the last burst."""
 
 
 class Supervisor:
@@ -91,8 +91,8 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """The timer for the next time limit. One time limit is when the port owner must have answered a stop. The
-        others are when a process counts as hanging because it has not beaten."""
+        """The timer for the next time limit: until then the port owner must have answered a stop, or a process must
+        have beaten."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
@@ -102,8 +102,7 @@ class Supervisor:
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
-        """Handle SIGTERM and SIGINT: the service ends as soon as the loop wakes up. This rings the bell, so that the
-        loop wakes up at once."""
+        """Handle SIGTERM and SIGINT: wake the loop, which then ends the service."""
         self.ending = True
         self._run.bells[layout.SUPERVISOR].ring()
 
@@ -150,7 +149,7 @@ class Supervisor:
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
         """Stop the robot if a process has died, or if another process has noticed a cause for a stop. If the port owner
-        has died, write the burst first. Then raise the epoch. Everything else can wait until later in the turn."""
+        has died, write the burst before the epoch is raised. Everything else can wait until later in the turn."""
         gap_ns = now_ns - self._turned_ns
         # True if a signal suspended this process since the last turn: SIGCONT has continued it, and is blocked
         # (entry.py).
@@ -206,10 +205,10 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """Check whether the machine has held up the supervisor itself, so that the other processes were not watched. If
-        it has, and motion was enabled, the list has one stop. Otherwise the list is empty. The supervisor did not see
-        the other processes' beats during that time, so no process is killed for a silence. `suspended_ns`: how long a
-        signal suspended the supervisor since its previous turn; 0 if none did."""
+        """Check whether the machine has held up the supervisor itself. Nobody watched the other processes meanwhile, so
+        their silence is excused. Returns a list with one stop if motion was enabled and the supervisor was held up for
+        HANG_NS, otherwise an empty list. `suspended_ns`: how long a signal suspended the supervisor since its previous
+        turn; 0 if none did."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:

@@ -35,15 +35,15 @@ LOOK_NS = 5_000_000
 """How often the thread tries to open a lost port."""
 WATCH_S = 1.0
 """How often to list the other devices on this computer while the board is connected, s. If the board is lost later,
-none of the listed devices can be the board."""
+none of these devices can be the board."""
 DOUBT_S = 0.05
 """How often to look for the real board while the open device may be a different one, s."""
 SHARE_NS = 100_000_000
 """How often the supervisor sends the port's descriptor again to a process that could not receive it."""
 BUSY_S = 1.0
-"""If processes of a dead run still have the port open, how long to wait until they have closed it, s."""
+"""How long to wait if processes of a dead run still have the port open, s."""
 UDEV_S = 2.0
-"""At boot, the device file may exist before udev lets users open it. This is how long to wait for udev, s."""
+"""How long to wait for udev at boot, s. The device file may exist before udev lets users open it."""
 
 
 class OwnPort(StopPort):
@@ -62,8 +62,8 @@ class OwnPort(StopPort):
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
         """Open the board's port and write the burst, which is the first thing that a run writes. If another process
-        holds the port, this tries again for a short time, and calls `held` before each new try. An error that `held`
-        raises ends the attempt. Raises port.PortError."""
+        holds the port, this tries again for BUSY_S, and calls `held` before each new try. An error that `held` raises
+        ends the attempt. At boot, this also waits for udev. Raises port.PortError."""
         start_s = monotonic()
         while True:
             # Decide this before opening: otherwise udev could grant access between the refusal and this check.
@@ -122,8 +122,8 @@ class Opener:
         self._reserve()
 
     def begin(self) -> None:
-        """Start the thread, which then runs as long as the process. It is started before the port is lost, because
-        memory may be short afterwards, and then no thread can be started."""
+        """Start the thread, which then runs as long as the process. It starts before a port is lost, because no thread
+        can be started once memory is short."""
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
@@ -131,14 +131,14 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """If the thread has opened a port, returns (its descriptor, when the burst was written). The time is 0 if the
-        burst could not be written. Each port is returned once. Returns None if there is no new port."""
+        """Return (the descriptor of a port that the thread has opened, when the burst was written to it). The time is 0
+        if the burst could not be written. Each port is returned once. Returns None if there is no new port."""
         found, self._found = self._found, None
         return found
 
     def attempt(self) -> bool:
-        """Try to open the port once. Returns True if the port was opened. One descriptor number is kept free for this,
-        because this process may have used up all other numbers."""
+        """Try to open the port once. Returns True if it was opened. One descriptor number is reserved for this, because
+        this process may have used up all others."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False

@@ -22,10 +22,9 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""How long the status shows that a process was starved. Each time a process is starved again, this time starts
-again."""
+"""How long the status shows that a process was starved, counted from the last time."""
 GATE_AGAIN_NS = 60_000_000_000
-"""If the gate has died too often, it is still started again after this time. Only the gate can receive a person's
+"""A gate that has died too often is still started again after this time, because only the gate can receive a person's
 request for a reset."""
 
 
@@ -52,7 +51,7 @@ class ProcessTable:
         self._advice = advice
         self._starved_logged_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
-        """The longest recent silence of a starved process, in ms, and the name of the process."""
+        """(The longest recent silence of a starved process in ms, the name of the process)."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -112,8 +111,8 @@ class ProcessTable:
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """For each process that now reports that it runs, start a thread that waits for the early report of its death.
-        If the port owner dies, the waiting thread itself writes a stop at once."""
+        """Start a thread for each process that now reports that it runs. The thread waits for the early report of the
+        process's death. The port owner's thread then also writes a stop at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)

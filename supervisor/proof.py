@@ -47,14 +47,14 @@ JUDGED_WITHIN_NS = 500_000_000
 """A verdict about the wheels that is older than this does not count. It means that the IMU or telemetry has gone
 silent."""
 LEAST_NS = 1_000_000
-"""If the wheels came to rest after a stop, the shown time is at least this long. A time of 0 would mean that the wheels
-were already still before the stop."""
+"""The shortest time that is shown for wheels that came to rest after a stop. A time of 0 would mean that they were
+already still before the stop."""
 HEEDS_NS = 200_000_000
 """A board that reports which commands it obeys must report motion within its echo time. If it still reports zero for
 this long after the echo time, the board counts as deaf."""
 LATE_LOOK_NS = 200_000_000
-"""If the supervisor was held up, it may look at the IMU's verdict for the first time only after the stop. If it looks
-this long after the stop's cause, it may have missed that the wheels were moving."""
+"""If the supervisor was held up, and first looks at the IMU's verdict this long after the stop's cause, it may have
+missed that the wheels were moving."""
 
 
 class Proof:
@@ -71,8 +71,8 @@ class Proof:
         self.acknowledged_ns: int | None = None
         """The time from the stop's cause to the board's answer, ns. None if the board has not answered."""
         self.observed_ns: int | None = None
-        """The time from the stop's cause until the wheels were still, ns. It is 0 if the wheels were never seen moving.
-        It is None if the wheels were not seen still."""
+        """The time from the stop's cause until the wheels were still, ns. 0 if the wheels were never seen moving, None
+        if they were not seen still."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
         """True if the stop's bytes were still in the kernel when the outcome was logged, because the board accepts no
@@ -87,8 +87,8 @@ class Proof:
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """The time limits for the proof count from this time: when the proof began, or when a delayed stop was finally
-        written."""
+        """When the proof began, or when a delayed stop was finally written. The time limits for the proof count from
+        then."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
         """Record that the stop could be written only now, because the port was lost. The proof then begins again."""
@@ -108,7 +108,7 @@ class Proof:
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
         """Record a verdict about the wheels, from the IMU or from the board's reports. Returns True if the wheels still
         move after the time in which they should have come to rest. The caller must then write the stop again. If the
-        wheels keep moving, this returns True again each time the same period has passed.
+        wheels keep moving, this returns True again after each further such period.
 
         `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
         0 if no verdict was made yet.
@@ -134,8 +134,8 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """Returns True when the outcome of the stop must be logged, because nothing more will become known about it.
-        Returns True only once."""
+        """Return True once, when the outcome of the stop must be logged because nothing more will become known about
+        it."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -223,8 +223,7 @@ class Link:
         says that the board is silent."""
         self._silent = self._by_echo = False
         self._heard = False
-        """True if the board was heard in this run. A board with pings is heard if it has answered a ping. A board
-        without pings is heard if it has sent anything."""
+        """True if the board was heard in this run: it has answered a ping or, if it has no pings, has sent anything."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
         """`_held_up_ns`: when the machine last held up a process that is needed to hear the board, or 0. `_unheard_ns`:
@@ -236,8 +235,8 @@ class Link:
         """`_said_ns`: when the board last sent anything, or 0 if it has sent nothing since the port was opened.
         `_patience_ns`: how long the board may pause between two reports."""
         self._answered_ns = 0
-        """When the newest answered ping was sent. The board's time without an answer counts from this time. After a
-        time in which no answer could be read, it counts from the newest ping."""
+        """The board's time without an answer counts from this time. It is when the newest answered ping was sent, or
+        later if no answer could be read for a while."""
         self._asked_ns = 0
         """When the first ping that the board has not answered was sent; 0 if no ping waits for an answer."""
         self._missed = False
@@ -301,13 +300,13 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """If a silence of the board was excused because the machine held up the service, returns its length, ns. Each
-        silence is returned once. Otherwise returns 0."""
+        """Return the length of a silence of the board that was excused because the machine held up the service, ns.
+        Each silence is returned once. Returns 0 if there is none."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
-        """Record that the board sent any bytes at `said_ns`. `newest_ping_ns`: when the newest ping was sent."""
+        """Record that the board sent something at `said_ns`. `newest_ping_ns`: when the newest ping was sent."""
         if said_ns <= max(self._said_ns, self._opened_ns):
             return
         self._said_ns = said_ns
@@ -335,9 +334,8 @@ class Link:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Record that no stop is latched. If the board counted as deaf because it obeyed zero, forget this. While a
-        stop is latched, a deaf board reports zero, and so does a board that hears. Only the next motion shows the
-        difference."""
+        """Record that no stop is latched. If the board counted as deaf because it obeyed zero, forget this, because
+        only the next motion shows whether it hears again."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 
@@ -353,8 +351,8 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """Returns True if a lost port was opened again, and the device at the port has not answered in time. Returns
-        True only once per opened port."""
+        """Check whether a lost port was opened again, but the device at the port has not answered in time. Returns True
+        only once per opened port."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False

@@ -70,12 +70,12 @@ class Run:
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """If an earlier run did not end cleanly, the descriptors of its black box. The names of the earlier run are
-        removed when this run has published its own name."""
+        """The descriptors of an earlier run's black box, if that run did not end cleanly. Its names are removed when
+        this run has published its own name."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
-        """The descriptors of the processes' segments, for the black box. Through them, the segments can be read even
-        after their names are removed."""
+        """The descriptors of the processes' segments, for the black box. They work even after the names of the segments
+        are removed."""
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
@@ -113,7 +113,7 @@ class Run:
         self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
-        """The objects that other processes find by a name: a text for people, and a descriptor of the object. If
+        """The objects that other processes find by name, as {the name for people: a descriptor of the object}. If
         fstat() of the descriptor reports no links, the name was removed."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
@@ -173,8 +173,8 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Remove the run's name, and then all other names of the run. Shared memory that a process still uses exists
-        until that process ends."""
+        """Remove the run's name, and then all other names of the run. A process that still uses the shared memory can
+        go on using it."""
         instance.clear(self.runtime_dir)
         segments.unlink_all(self.memory)
         for made in self._segments:

@@ -19,8 +19,8 @@ from failstop.supervisor.bootstrap import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""Environment variables for the C library. With MALLOC_ARENA_MAX=1, all threads share one heap. Otherwise, a thread
-would create a second heap when it does its first job, perhaps minutes after the start, and that would take 200 kB."""
+"""Environment variables for the C library. With MALLOC_ARENA_MAX=1, all threads share one heap. Otherwise, the first
+job of a thread would create a second heap of 200 kB, perhaps minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Environment variables that every process gets. They say where the runtime directory and telemetry's files are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
@@ -55,7 +55,8 @@ def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int
 
 
 def reap(pid: int, options: int = os.WNOHANG) -> int | None:
-    """The exit code of a child that has ended, negative if a signal killed it. None if it can't be reaped yet."""
+    """Reap a child, and return its exit code, negative if a signal killed it. Returns None if it can't be reaped
+    yet."""
     found, status = os.waitpid(pid, options)
     return os.waitstatus_to_exitcode(status) if found else None
 

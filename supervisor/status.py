@@ -10,9 +10,9 @@ The service manager restarts the service if the watchdog beats stop. They stop o
     a killed process does not go away       something in the kernel holds it, so the supervisor can't replace it
     a stop can't be written                 although the port is open
 
-In every other case the beats go on, even if a process is down until a reset, the port is gone, or the board is deaf. In
-these cases the supervisor still publishes the status, and it has told the wheels to stop as far as it can. A restart
-would interrupt both.
+In every other case the beats go on, even if a process is down until a reset, the port is gone, or the board is deaf.
+The supervisor then still publishes the status and stops the wheels as far as it can, and a restart would interrupt
+both.
 
 This file also explains what the service loses without real-time scheduling and locked memory, which lease it can keep
 without these rights, and which command grants them.
@@ -46,14 +46,13 @@ if TYPE_CHECKING:  # commands use only the functions about rights, and don't nee
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""If a killed process still exists after this time, something in the kernel holds it. Normally a killed process is gone
-after milliseconds. If it has to close a port that does not drain, it may take seconds."""
+"""If a killed process still exists after this time, something in the kernel holds it. Normally it is gone after
+milliseconds, or after seconds if it has to close a port that does not drain."""
 OWED_NS = 2_000_000_000
 """If a stop is neither answered nor written after this time, the supervisor does not do its job. By then it has tried
 to write the stop many times: the first time 5 ms after the cause, and then every 200 ms."""
 WAITED_NS = 2_000_000_000
-"""If motion has to wait for something, the wait is logged after this time. A restart of a process takes much less
-time."""
+"""If motion can't be enabled for this long, the reason is logged. A restart of a process takes much less time."""
 NOTIFY_EVERY_NS = 100_000_000
 """The shortest time between two datagrams with a status line. While someone drives, the gate's part of the line changes
 at every tick."""

@@ -84,8 +84,8 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """If motion was stopped because of the link, the reason. It is cleared when motion has ended or the link is
-        good again."""
+        """Why motion was stopped because of the link, or empty. It is cleared when motion has ended or the link is good
+        again."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
         """The causes that have been logged since the latched stop was latched."""
@@ -96,8 +96,8 @@ class StopTracker:
 
     def _news_of(self, cause: Cause) -> bool:
         """True if this cause has not been logged since the stop was latched. Several processes may notice the same
-        cause, but it should be logged only once. At most 64 causes are remembered. If there are more, a cause may be
-        logged twice."""
+        cause, but it should be logged only once. Only 64 causes are remembered, so with more a cause may be logged
+        twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -113,8 +113,8 @@ class StopTracker:
             self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
-        """Log a stop. Called when it is known which process wrote the stop, or that it could not be written. `ending`:
-        True if the stop was written because the service ends."""
+        """Log a stop, once it is known which process wrote it, or that it could not be written. `ending`: True if the
+        stop was written because the service ends."""
         self._track(stop)
         # The kernel holds every burst for a moment. But a burst that queues behind bytes which the board has not taken
         # for a long time never gets out.
@@ -149,8 +149,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Track the proof of this stop from now on, unless an earlier stop is still latched. People look at the latched
-        stop, so the proof must be about the latched stop."""
+        """Track the proof of this stop from now on, unless an earlier stop is still latched, because people look at the
+        latched stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -204,9 +204,9 @@ class StopTracker:
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """The stop that is needed because the board is deaf or silent while motion is enabled, in a list. Otherwise the
-        list is empty. The stop is returned once, and once more each time someone enables motion although the board is
-        deaf or silent.
+        """Return a list with the stop that is needed because the board is deaf or silent while motion is enabled, or an
+        empty list. The stop is returned once, and once more each time someone enables motion although the board is deaf
+        or silent.
 
         The robot is also stopped if the board seems silent only because the machine held up the service. Nobody knows
         then which commands the board has heard.
@@ -235,9 +235,9 @@ class StopTracker:
             self._publish(last)
 
     def _read_answer(self) -> None:
-        """Read which of the written bytes the board has handled, as telemetry has found out (board/handled.py). An
-        answered ping proves only that the link works. A stop is acknowledged only by the record `proved`, because some
-        boards must also report that they obey zeros."""
+        """Read from telemetry which of the written bytes the board has handled (board/handled.py). An answered ping
+        proves only that the link works. A stop is acknowledged only by the record `proved`, because some boards must
+        also report that they obey zeros."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]

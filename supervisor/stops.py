@@ -33,8 +33,8 @@ wrote up to this long before the report counts as the stop for this cause. An ol
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """If the cause is only that the supervisor was silent, and a signal had suspended the supervisor, return a cause
-    that says so. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was suspended; 0 if it
+    """Return a cause that names the suspension if the cause is only that the supervisor was silent, and a signal had
+    suspended it. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was suspended; 0 if it
     was not."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
@@ -54,8 +54,7 @@ class Stop(Data):
     """The process that wrote the stop. Empty until this is decided."""
     epoch: int = 0
     behind: Stop | None = None
-    """If another stop was already latched when this stop was written, the latched stop. None if this stop itself is
-    latched."""
+    """The stop that was already latched when this stop was written. None if this stop itself is latched."""
 
     def fields(self) -> dict[str, str | int]:
         """Fields for an event about this stop: the cause, and the time when it was noticed. The time distinguishes
@@ -63,8 +62,8 @@ class Stop(Data):
         return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Find out which process has written the stop (see WRITERS). Returns (the process, when it wrote the burst in
-        ns). If the time is 0, the supervisor must write the burst now. Returns None if the port owner may still write
+        """Find out which process has written the stop (see WRITERS). Returns (the process, when it wrote the burst,
+        ns). The time is 0 if the supervisor must write the burst now. Returns None if the port owner may still write
         the burst.
 
         `answered`: True if the port owner has answered the epoch. `may_answer`: True if the port owner is alive and
