@@ -39,8 +39,8 @@ PORT = "port"
 """The name of the guard port's link in the runtime directory."""
 LOOK_S = 0.5
 NICE = -10
-"""The guard's nice value. The guard then runs before ordinary programs, but after the service's real-time processes, so
-a driver that writes without end can't take processor time from the service."""
+"""The guard's nice value. With this value, the guard runs before ordinary programs, but after the service's real-time
+processes, so a driver that writes without end can't take processor time from the service."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -112,8 +112,8 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 def _usual(settings: Settings, name: str) -> str:
     """The path of the port if --path is not given. It is the setting guard.path if that is set. Otherwise the port is
-    in systemd's runtime folder for this unit. If there is no such folder, it is in the service's runtime folder or in
-    the user's, whichever this user may write to first. Raises FailstopError if this user may write to neither."""
+    in systemd's runtime folder for this unit. If there is no such folder, it is in the service's runtime folder or, if
+    this user may not write there, in the user's. Raises FailstopError if this user may write to neither."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):

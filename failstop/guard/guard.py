@@ -73,7 +73,7 @@ class Guard:
         """The driver's name, for people."""
         self._crowded = False
         """True if the port was open too many times when this was last counted. It stays True while the end of one of
-        these programs is handled."""
+        the programs is handled."""
         self._flooded = False
         self._wrote = False
         """True if the guard has read bytes from the current driver."""
