@@ -123,6 +123,7 @@ class HeldPort:
 
 
 def pair() -> tuple[int, int]:
-    """A new pair of connected control sockets, as descriptors. Processes inherit them only if they are passed on."""
+    """Return a new pair of connected control sockets, as descriptors. Processes inherit them only if they are passed
+    on."""
     mine, theirs = _socket.socketpair(_socket.AF_UNIX, _socket.SOCK_SEQPACKET)
     return mine.detach(), theirs.detach()

@@ -37,12 +37,12 @@ class Timer:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time, and the points that follow it. When pop() returns True for one point, the
-        following one becomes the next."""
+        """Set the next point in time, and the points that follow it. Each time pop() returns True, it goes on to the
+        following point."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
-        """True once the next point in time has been reached."""
+        """Return True once the next point in time has been reached."""
         return now_ns >= self.ns
 
     def wait(self, until_ns: int) -> None:
@@ -50,7 +50,7 @@ class Timer:
         self.ns = max(self.ns, until_ns)
 
     def pop(self, now_ns: int) -> bool:
-        """True if the timer is due. The following point in time then becomes the next one."""
+        """Return True if the timer is due, and go on to the following point in time."""
         if now_ns < self.ns:
             return False
         self.set(*self._then, NEVER)
@@ -87,7 +87,7 @@ class Loop:
         self._epoll.unregister(fd)
 
     def readable(self, fd: int) -> bool:
-        """True if the descriptor can be read now. It need not be in the set."""
+        """Return True if the descriptor can be read now. It need not be in the set."""
         return bool(select.select((fd,), (), (), 0)[0])
 
     def timer(self) -> Timer:
@@ -96,7 +96,7 @@ class Loop:
         return self._timers[-1]
 
     def due_ns(self) -> int:
-        """The earliest point in time of all timers, or NEVER if none is set."""
+        """Return the earliest point in time of all timers, or NEVER if none is set."""
         return min([timer.ns for timer in self._timers], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:

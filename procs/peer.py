@@ -26,8 +26,8 @@ the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """How long the port owner and the stopper go on after the supervisor's death. By then the board has received the
-    last repeat of the stop."""
+    """Return how long the port owner and the stopper go on after the supervisor's death. It is long enough for the
+    board to receive the last repeat of the stop."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
@@ -50,7 +50,7 @@ class Parent:
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
-        """When the supervisor's death was noticed, or 0 while it is alive."""
+        """The time when the supervisor's death was noticed, or 0 while it is alive."""
         self._loop = loop
         self._leave = loop.timer()
         context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if early else None)
@@ -58,21 +58,21 @@ class Parent:
             loop.watch(fd, READ)
 
     def died(self, ready: dict[int, int]) -> bool:
-        """True if this wake-up, or an early report before it, says that the supervisor has died. After drop() it is
-        False again."""
+        """Return True if this wake-up, or an early report before it, says that the supervisor has died. After drop() it
+        is False again."""
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:
-        """Stop watching the supervisor. Call it when the stop for the supervisor's death is written. leave() returns
-        True once the repeats of that stop are out."""
+        """Stop watching the supervisor, because the stop for its death was written. leave() returns True once the
+        repeats of that stop are out."""
         self.orphaned_ns = now_ns
         self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit, because the repeats have been sent. While the port still holds some of their
-        bytes, the process stays, but at most until LATEST_NS after the supervisor's death."""
+        """Return True when it is time to exit, because the repeats have been sent. While the port still holds some of
+        their bytes, the process goes on, but at most until LATEST_NS after the supervisor's death."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -99,7 +99,7 @@ class Peer:
         self._named = 0
 
     def named(self) -> int:
-        """The pid of the process, as the supervisor publishes it. 0 before the process is first started."""
+        """Return the pid that the supervisor has published for the process, or 0 before its first start."""
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
@@ -130,12 +130,12 @@ class Peer:
             self._stop()
 
     def runs(self) -> bool:
-        """True while the process is known to run. This begins when the process reports that it runs. It ends when the
-        stop for its death was written."""
+        """Return True from the time when the process reports that it runs, until the stop for its death was written."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
-        """The pid of the process if this wake-up, or an early report before it, says that it has died; otherwise 0."""
+        """Return the pid of the process if this wake-up, or an early report before it, says that it has died; otherwise
+        0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
 
     def drop(self) -> None:

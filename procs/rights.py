@@ -127,7 +127,8 @@ def raise_limits() -> None:
 
 
 def no_descriptors(most: int) -> str:
-    """What to do if the limit of open files (RLIMIT_NOFILE) is too low. `most`: the limit that was found."""
+    """Return a text that says what to do if the limit of open files (RLIMIT_NOFILE) is too low. `most`: the limit that
+    was found."""
     return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", "`ulimit -n 1024`, or LimitNOFILE=")
 
 

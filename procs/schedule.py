@@ -29,13 +29,13 @@ answered."""
 
 
 class Repeats:
-    """When to repeat the last stop, and when to send the zeros that follow the repeats. `due`: the timer for the next
-    frame."""
+    """Decides when to repeat the last stop, and when to send the zeros that follow the repeats. `due`: the timer for
+    the next frame."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
-        written. If a repeat comes later than that, it is the time from the last repeat to the first zero. Each process
-        that writes stops has its own times."""
+        written, or how long after the last repeat if a repeat comes later than `zero_ns`. Each process that writes
+        stops has its own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -58,8 +58,8 @@ class Repeats:
         self._due.wait(until_ns)
 
     def pop(self, now_ns: int) -> int:
-        """What must be written now: REPEAT (the burst), REFRESH (a zero frame), or 0 for nothing. Each is returned
-        once."""
+        """Return what must be written now: REPEAT (the burst), REFRESH (a zero frame), or 0 for nothing. Each is
+        returned once."""
         if not self._due.pop(now_ns):
             return 0
         if self._bursts:
@@ -70,7 +70,7 @@ class Repeats:
 
 
 class Pings:
-    """When to write pings. `index` is the number of the ping to write next."""
+    """Decides when to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
         """`count`: how many different pings the board has; if it is 0, no loop may wait for `due`. `period_ns`: the
@@ -86,24 +86,24 @@ class Pings:
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
-        """Call it when a stop was written. The next ping is then sent soon, to find out whether the board heard the
-        stop, and a few more follow quickly."""
+        """Plan a ping soon after a stop that was just written, to find out whether the board heard it. A few more pings
+        follow quickly."""
         self._quick = max(self._quick, AGAIN_AFTER_STOP)
         self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
     def due(self, now_ns: int) -> bool:
-        """True if the ping `index` must be written now."""
+        """Return True if the ping `index` must be written now."""
         return self._count > 0 and self._due.due(now_ns)
 
     def sent(self, now_ns: int) -> None:
-        """Call it when the ping `index` was written. It plans the next ping."""
+        """Record that the ping `index` was written, and plan the next one."""
         self._sent_ns = now_ns
         self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
         self._before, self.index = self.index, self._drawn()
 
     def _drawn(self) -> int:
-        """A random index. It is never the same three times in a row."""
+        """Return a random index. It is never the same three times in a row."""
         mixed = self._mixed  # Marsaglia's xorshift, because `random` would cost memory
         mixed ^= mixed << 13 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 7
@@ -112,9 +112,8 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Call it when another port was opened. Its board hears from `hears_ns` on. The first pings come as quickly as
-        at the start. The reason is that a ping may have been lost with the previous port, so an answer from this board
-        may seem to answer the lost ping."""
+        """Begin again with quick pings, because another port was opened. Its board hears from `hears_ns` on. A ping may
+        have been lost with the previous port, so an answer from this board may seem to answer the lost ping."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 
@@ -124,5 +123,5 @@ class Pings:
         self._due.set(max(self._due.ns, until_ns))
 
     def failed(self, now_ns: int) -> None:
-        """Call it when the port accepted no bytes. The ping is tried again after PING_GAP_NS."""
+        """Try the ping again after PING_GAP_NS, because the port accepted no bytes."""
         self._due.set(now_ns + PING_GAP_NS)

@@ -31,13 +31,13 @@ left by 3, plus this value in the lowest bits."""
 
 
 def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
-    """True if the process is starved, by the table at the top of this file. `state`: the letter from the kernel.
+    """Return True if the process is starved, by the table at the top of this file. `state`: the letter from the kernel.
     `ran_ns`: its processor time since its last beat. Pure."""
     return state in ("R", "D") and ran_ns < deadline_ns // 2
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """True if the silent process is starved. `bell`: the bell that wakes it. Takes two readings, about 20 us."""
+    """Return True if the silent process is starved. `bell`: the bell that wakes it. Takes two readings, about 20 us."""
     try:
         # If a starting process has not beaten yet, this value is still from the process before it.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0

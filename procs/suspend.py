@@ -11,8 +11,8 @@ process may be held up between the readings."""
 
 
 def gained_ns() -> int:
-    """How far CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, ns. This is how long the machine has slept since it was
-    started."""
+    """Return how far CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, ns. This is how long the machine has slept since it
+    was started."""
     before_ns = time.monotonic_ns()
     boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
     # Read CLOCK_MONOTONIC again. If this process is held up between the readings, the result is too small, so the delay
@@ -28,7 +28,7 @@ class SuspendWatch:
         self._gained_ns = max(gained_ns() for _ in range(3))
 
     def slept_ns(self) -> int:
-        """How long the machine has slept since the last call, ns. 0 if it has not slept."""
+        """Return how long the machine has slept since the last call, ns. 0 if it has not slept."""
         before_ns, now_ns = self._gained_ns, gained_ns()
         self._gained_ns = max(before_ns, now_ns)
         return now_ns - before_ns if now_ns - before_ns >= SLEPT_NS else 0

@@ -20,6 +20,7 @@ class WheelServos:
         self._health = health if servos.turn_wheels(settings) else None
 
     def waited_for(self) -> str:
-        """The wheel that motion must wait for because its servo does not answer. Empty if motion need not wait."""
+        """Return the wheel that motion must wait for because its servo does not answer. Empty if motion need not
+        wait."""
         report = self._health.read() if self._health else None
         return servos.waited_for(records.HEALTH.unpack(report[2]), self._settings) if report else ""

@@ -32,8 +32,8 @@ changed."""
 
 
 def newest_number(reader: LatestReader) -> int:
-    """The number of the newest entry, or 0 if there is none. After a restart of the gate, entries up to this number
-    don't count as new, because the previous gate may have acted on them."""
+    """Return the number of the newest entry, or 0 if there is none. After a restart of the gate, entries up to this
+    number don't count as new, because the previous gate may have acted on them."""
     entry = reader.read()
     return entry[0] if entry else 0
 
@@ -50,7 +50,7 @@ class Slot:
         self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
         self._greeting: Entry | None = None
         self._greeted: int | None = None
-        """The entry that was last read from `hello`, and the session in it."""
+        """The session in the entry that was last read from `hello`, or None if the entry is damaged."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
         # Requests start at 0, because the gate's own record says which of them were answered (requests.py).
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
@@ -64,7 +64,8 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """The session whose hello is in the slot at the moment. None if there is no hello, or if it is damaged."""
+        """Return the session whose hello is in the slot at the moment, or None if there is no hello, or if it is
+        damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -77,7 +78,7 @@ class Slot:
         return self._greeted
 
     def parted(self) -> bool:
-        """True if the session that holds the slot has said goodbye."""
+        """Return True if the session that holds the slot has said goodbye."""
         entry = self._left.read()
         try:
             return entry is not None and self.session in records.LEFT.unpack(entry[2])
@@ -91,12 +92,13 @@ class Slot:
         self.session = self._session_seen = session
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
-        """The time (ns) and values of the newest record with this name. None if it is damaged or from another
+        """Return the time (ns) and values of the newest record with this name, or None if it is damaged or from another
         session."""
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """The newest record with this name, like latest(). None if this method has already returned that record."""
+        """Return the newest record with this name, like latest(), but each record only once. None if there is no new
+        record."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -113,12 +115,12 @@ class Slot:
         return (entry[1], *values) if writer == self.session else None
 
     def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
-        """The command with these values, as a command of this session."""
+        """Return a command of this session with these values."""
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """What the client last reported about itself, for people: when the report came, what the program sees, and what
-        is wrong. None if the session has reported nothing."""
+        """Return what the client last reported about itself, for people: when the report came, what the program sees,
+        and what is wrong. None if the session has reported nothing."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
@@ -126,7 +128,7 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """A client's text, cut to `room` bytes, so that a record has room for the texts of all clients. Unprintable
+    """Return a client's text, cut to `room` bytes, so that a record has room for the texts of all clients. Unprintable
     characters are replaced, because each of them would take three bytes."""
     return records.cut(records.printable(text), room).decode()
 
@@ -148,8 +150,8 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """The slots to look at when the client bell rings. Each byte in `hints` names a slot; a byte that is not a
-        slot's number means all slots."""
+        """Return the slots to look at when the client bell rings. Each byte in `hints` names a slot; a byte that is not
+        a slot's number means all slots."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots

@@ -9,15 +9,15 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import MS
 
 AHEAD_NS = 20 * MS
-"""How far in the future a time stamp may be. A record may be written after the turn that reads it began, so a short
+"""How far in the future a time stamp may be. A turn may read a record that was written after the turn began, so a short
 time is normal. A stamp that is further ahead comes from another machine's clock, and would count for too long."""
 NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
 DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
-    """The time that counts for a time stamp, never later than now. A stamp that is too far in the future becomes 0,
-    which is too old for any timeout."""
+    """Return the time that counts for a time stamp. It is never later than now. A stamp that is too far in the future
+    becomes 0, which is too old for any timeout."""
     return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
 
 
@@ -31,22 +31,22 @@ class ScanGate:
         self.on = on
         self._blocks = False
         self.delivered_ns = 0
-        """When the sensor last delivered a scan, or 0 if it has not yet."""
+        """The time when the sensor last delivered a scan, or 0 if it has not yet."""
 
     def deliver(self, t_ns: int, now_ns: int) -> None:
         self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
 
     def silent(self, now_ns: int) -> bool:
-        """True if the sensor is silent, so programs must not move the wheels."""
+        """Return True if the sensor is silent, so programs must not move the wheels."""
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
-        """When the last scan will become too old."""
+        """Return when the last scan will become too old."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """The note for people when the sensor's silence begins to block the wheels, or when the sensor is back. None if
-        neither has happened. The note includes the age of the last scan. If the wheels become blocked for another
+        """Return a note for people if the sensor's silence has just begun to block the wheels, or if the sensor is
+        back; otherwise None. The note includes the age of the last scan. If the wheels become blocked for another
         reason, the sensor is not reported as back until it delivers a scan. `blocks`: True if the wheels are blocked by
         the sensor's silence."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
@@ -78,7 +78,7 @@ class Interlocks:
             self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
 
     def unmet(self, now_ns: int) -> str:
-        """The refusal text of the first interlock that does not hold. Empty if all hold."""
+        """Return the refusal text of the first interlock that does not hold, or an empty text if all hold."""
         for name, (timeout_ns, refusal) in self._declared.items():
             asserted_ns = self._asserted_ns.get(name)
             if asserted_ns is None or now_ns - asserted_ns > timeout_ns:
@@ -114,8 +114,8 @@ class Attendance:
             self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
-        """The names of the operators who are present. Each operator whose last proof is older than the lease is removed
-        first."""
+        """Return the names of the operators who are present. Each operator whose last proof is older than the lease is
+        removed first."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]
@@ -123,11 +123,11 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """When the last operator will no longer count as present, unless a new proof arrives earlier."""
+        """Return when no operator will count as present any more, unless a new proof arrives earlier."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:
-        """The refusal text if no operator is present although motion needs one. Empty otherwise."""
+        """Return the refusal text if no operator is present although motion needs one, otherwise an empty text."""
         return NOBODY_ATTENDS if self.on and not self.names(now_ns) else ""
 
     def gone(self, now_ns: int) -> Cause | None:

@@ -63,7 +63,7 @@ class GateCore:
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.enabled_ns = 0
-        """When motion was enabled, or 0 while it is disabled."""
+        """The time when motion was enabled, or 0 while it is disabled."""
         self.latch: Cause | None = None
         """The latched cause, or None. Normally this is the cause that the supervisor has published. After a stop by the
         gate itself, it is the gate's cause until the supervisor has answered."""
@@ -93,11 +93,12 @@ class GateCore:
         self._ramps_on = False
 
     def rests(self, until_ns: int) -> bool:
-        """True if the velocity stays as it is, and no frame must be sent before `until_ns`."""
+        """Return True if the velocity stays as it is, and no frame must be sent before `until_ns`."""
         return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
-        """Why the wheels may not turn, as one of the reasons at the top of this file. Empty if they may turn."""
+        """Return why the wheels may not turn, as one of the reasons at the top of this file, or an empty text if they
+        may turn."""
         if self.latch is not None:
             return f"{LATCHED}{self.latch}"
         if not self.enabled:
@@ -110,11 +111,11 @@ class GateCore:
         return ""
 
     def arm_closed(self) -> str:
-        """Why the arm accepts no goal at the moment. Empty if it accepts one."""
+        """Return why the arm accepts no goal at the moment, or an empty text if it accepts one."""
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the wheels must stop because a command, an operator's presence or the obstacle sensor becomes too old.
+        """Return when the wheels must stop because a command, an operator's presence or the last scan becomes too old.
         The wheels stop at that moment, not at a later tick. None if nothing moves the wheels."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
@@ -219,7 +220,8 @@ class GateCore:
         self.speeds = self._kinematics.rest
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
-        """Why motion can't be enabled now, or None if it can. `missing`: what the service still waits for, or empty."""
+        """Return why motion can't be enabled now, or None if it can. `missing`: what the service still waits for, or
+        empty."""
         if self.latch is not None:
             return refused(IS_LATCHED, self.latch)
         if missing:
@@ -242,8 +244,8 @@ class GateCore:
         return self._may_move(self.sources.hold(now_ns), now_ns)
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
-        """The reply after motion was enabled. It names the programs that already command motion, because they may move
-        the robot next."""
+        """Return the reply to a client after motion was enabled. It names the programs that already command motion,
+        because they may move the robot next."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
@@ -315,8 +317,9 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """A text that says how to go on if a held program never sends zero. `held`: the programs whose commands don't count
-    until they send zero or pause. The text is empty for the gamepad, because a person can let go of its stick."""
+    """Return a text that says how to go on if a held program never sends zero. `held`: the programs whose commands
+    don't count until they send zero or pause. The text is empty for the gamepad, because a person can let go of its
+    stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

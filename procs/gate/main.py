@@ -45,14 +45,14 @@ HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "
 """The records of a client in the order in which they are read. Records that may forbid a command come before the
 command."""
 MOST_RINGS = 20
-"""How many wake-ups by clients are handled between two ticks. This is one wake-up per millisecond. Eight clients that
+"""The most wake-ups by clients that are handled between two ticks, about one per millisecond. Eight clients that
 command at 100 Hz need fewer."""
 AUX_EVERY_NS = 10 * MS
 """The shortest time between two client frames that are not motion, so that a flood of them can't fill the line. A frame
 that comes sooner is dropped."""
 LOOK_AT_ALL_EVERY = 10
-"""The gate looks at all slots, including those that seem to be free, and at the clients' reports about themselves, once
-in this many periods."""
+"""Once in this many periods, the gate looks at all slots, even at those that seem to be free, and at the clients'
+reports about themselves."""
 
 
 class Gate:
@@ -178,8 +178,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """True if one tick in two periods is enough. This works because a client rings a bell when it joins or wants
-        something new, and because the kernel reports a client's death at once."""
+        """Return True if one tick in two periods is enough. This works because a client rings a bell when it joins or
+        wants something new, and because the kernel reports a client's death at once."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -258,8 +258,8 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """Stop if the supervisor is silent while motion is enabled. The port owner admits no motion then, so nobody
-        should be told that motion is enabled."""
+        """Stop if the supervisor is silent while motion is enabled. The port owner admits no motion then, so the gate
+        must not show that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
@@ -343,7 +343,7 @@ class Gate:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
     def _missing(self) -> str:
-        """What motion still waits for, in words. Empty if nothing is missing."""
+        """Return what motion still waits for, in words, or an empty text if nothing is missing."""
         if self._ready_word.get():
             return ""
         link = self._link.read()

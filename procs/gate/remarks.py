@@ -29,8 +29,8 @@ EVERY_NS = 200_000_000
 """The shortest time between two notes about requests, once MOST_AT_ONCE notes were made. So a client that repeats a
 request endlessly causes five notes per second, not a thousand."""
 AGES = ("ms", "s", "min", "h", "day", "days")
-"""The units of a length of time in a client's report, as words.span writes them. A regular expression is not used,
-because importing `re` would slow each start of the gate."""
+"""The units of time in a client's report, as words.span writes them. A regular expression is not used, because
+importing `re` would slow each start of the gate."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
 """The shortest time between two notes about drivers that fell silent. It is long because a program that commands less
@@ -38,8 +38,8 @@ often than its timeout starts and stops the wheels again and again."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """The note about a request that had an effect or was refused. None if it changed nothing. `enabled`: True if motion
-    was enabled before the request."""
+    """Return the note about a request that had an effect or was refused, or None if it changed nothing. `enabled`: True
+    if motion was enabled before the request."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -69,7 +69,7 @@ class Budget:
         """How many notes were left out since the last note was made."""
 
     def spend(self, now_ns: int) -> bool:
-        """True if one more note may be made now."""
+        """Return True if one more note may be made now."""
         earned = (now_ns - self._ns) // self._every_ns
         self._ns += earned * self._every_ns
         self._left = min(self._most, self._left + earned)
@@ -81,16 +81,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """The note that motion was disabled because a driver has died. This note is never left out, because motion stays
-    disabled until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
+    """Return the note that motion was disabled because a driver has died. This note is never left out, because motion
+    stays disabled until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """The note that motion was disabled because a driver has fallen silent. This note is never left out, because motion
-    stays disabled until somebody enables it."""
+    """Return the note that motion was disabled because a driver has fallen silent. This note is never left out, because
+    motion stays disabled until somebody enables it."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -106,7 +106,7 @@ class DriverLosses:
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
     def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """The notes about a driver that has sent no command for its timeout."""
+        """Return the notes about a driver that has sent no command for longer than its timeout."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
@@ -115,8 +115,8 @@ class DriverLosses:
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
-        """The notes about a driver that has left or died. `parted`: True if its client said goodbye, so the driver has
-        ended normally."""
+        """Return the notes about a driver that has left or died. `parted`: True if its client said goodbye, so the
+        driver has ended normally."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
         return self._note("driver_gone", driver, "ended or died while it drove, so the wheels are told to stop", now_ns)
@@ -156,13 +156,13 @@ class SelfReports:
         return [note for note in notes if self._budget.spend(now_ns)]
 
     def table(self) -> list[tuple[int, int, str, str]]:
-        """The report of each session as (slot, time, what it sees, what is wrong)."""
+        """Return the report of each session as (slot, time, what it sees, what is wrong)."""
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 
 def _ageless(text: str) -> list[str]:
-    """The words of a text without its lengths of time. If only those have changed, the report has just become older,
-    and noting it again would fill the log."""
+    """Return the words of a text without its times such as "3 s". If only the times have changed, the report has just
+    become older, and noting it again would fill the log."""
     kept: list[str] = []
     for word in text.split(" "):
         if kept and word.rstrip(";,.") in AGES and kept[-1].replace(".", "", 1).isdecimal():
@@ -183,8 +183,8 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
 
 
 def _gone(row: SaidRow, *, parted: bool) -> Note | None:
-    """The note about a session that has ended. If the session said goodbye, a note is needed only if its last report
-    named something wrong."""
+    """Return the note about a session that has ended. If the session said goodbye, a note is needed only if its last
+    report named something wrong."""
     _, _, who, _, _, wrong = row
     text = f"{who} has gone"
     if parted:

@@ -41,7 +41,7 @@ class Request(Data):
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
-        """Return the values that the client has published for this request under this record's name. None for the
+        """Return the newest record that the client has published under this name, like Slot.latest(). None for the
         gamepad, because it has no slot."""
         return self.slot.latest(record) if self.slot else None
 
@@ -74,8 +74,8 @@ class Requests:
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
-        """True if the request was answered before. When a gate starts, it finds the newest request of each client
-        again, and the previous gate may have answered it."""
+        """Return True if the request was answered before. When a gate starts, it finds the newest request of each
+        client again, and the previous gate may have answered it."""
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
@@ -149,9 +149,9 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True if the supervisor has decided a reset since the last call. Read the latch after this call, not before
-        it. The latch is then at least as new as the decision, because the supervisor writes the decision behind a
-        barrier."""
+        """Return True if the supervisor has decided a reset since the last call. Read the latch after this call, not
+        before it. The latch is then at least as new as the decision, because the supervisor writes the decision behind
+        a barrier."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
@@ -167,8 +167,8 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """The session and number of the request that the newest reply in this record belongs to. Zeros if no reply was
-    written, or if the newest one only reports progress."""
+    """Return the session and the number of the request that the newest reply in this record answers. Both are 0 if no
+    reply was written, or if the newest one only reports progress."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

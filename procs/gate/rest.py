@@ -16,17 +16,18 @@ class Rest:
     def __init__(self, context: Context, loop: Loop, tick: Timer, period_ns: int) -> None:
         self._loop, self._tick, self._period_ns = loop, tick, period_ns
         self._ticked_ns = 0
-        """When the last tick was due."""
+        """The time when the last tick was due."""
         self._beat = loop.timer()
         self._word, self._bell = context.own.word("busy"), context.bell("supervisor_bell")
         self._word.set(0)
 
     def beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True if nothing has happened and only a beat is due, so the rest of the turn can be skipped."""
+        """Return True if only a beat is due and nothing else has happened, so the remainder of the turn can be
+        skipped."""
         return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """Call it when a tick begins. A missed tick is not made up for."""
+        """Record that a tick begins. A missed tick is not made up for."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:

@@ -1,9 +1,9 @@
 """Sources: which programs may command motion, and which of them has priority. Pure.
 
-Each source has a name, a priority and a timeout in the settings. The source with the highest priority that has a fresh
-command drives. A source with a higher priority takes over at once. When the higher source has been silent for its
-timeout, the lower source gets the wheels back, and its velocity starts from zero along the ramp. The gamepad in its
-drive mode is a source that has priority over all others. No setting and no client can use its name.
+Each source has a name, a priority and a timeout in the settings. Among the sources that have a fresh command, the one
+with the highest priority drives. A source with a higher priority takes over at once. When the higher source has been
+silent for its timeout, the lower source gets the wheels back, and its velocity starts from zero along the ramp. The
+gamepad in its drive mode is a source that has priority over all others. No setting and no client can use its name.
 
 Enabling motion moves nothing. A source that commands a velocity at that moment is held until it has sent zero or was
 silent for its timeout. So a stick that is still pushed, or a program that never stopped commanding, does not drive the
@@ -63,21 +63,21 @@ class Sources:
         """The command that drove at `_asked_ns`. It is kept because it is needed many times in each turn."""
 
     def allows(self, command: Command) -> bool:
-        """True if the sender of this command may use the command's source. Only the gamepad may use the gamepad's
-        source. Clients may use only the sources of the settings."""
+        """Return True if the sender of this command may use the command's source. Only the gamepad may use the
+        gamepad's source. Clients may use only the sources of the settings."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
-        """The source's last command, or None if it is older than the source's timeout."""
+        """Return the source's last command, or None if it is older than the source's timeout."""
         command = self._commands.get(source)
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """When this command will be too old."""
+        """Return when this command will be too old."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:
-        """A fresh command of another program for the same source, or None."""
+        """Return a fresh command of another program for the same source, or None."""
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
@@ -101,18 +101,18 @@ class Sources:
         return list(self._held.values())
 
     def held(self, now_ns: int) -> list[str]:
-        """The names of the held programs that still send commands."""
+        """Return the names of the held programs that still send commands."""
         return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
 
     def holds(self, now_ns: int) -> bool:
-        """True while a held program still sends commands."""
+        """Return True while a held program still sends commands."""
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """The programs that commanded motion only a short time ago, but whose last command is no longer fresh, each
-        with the age of that command, ns. Programs that a person drives by hand are left out. A program that commands
-        less often than its timeout can appear here. Such a program is not held, because each of its pauses would
-        release it."""
+        """Return the programs that commanded motion a short time ago, but whose last command is no longer fresh. Each
+        comes with the age of that command, ns. Programs that a person drives by hand are left out. A program that
+        commands less often than its timeout can appear here. Such a program is not held, because each of its pauses
+        would release it."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -126,15 +126,15 @@ class Sources:
         self._asked_ns = -1
 
     def clear(self) -> None:
-        """Call it when motion was disabled, so no source drives. The sources' commands are kept, so that the next
+        """Forget which source drives, because motion was disabled. The sources' commands are kept, so that the next
         enable can hold the sources that still command motion."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
-        """The command that drives. Among the sources that have a fresh command and are not held, the source with the
-        highest priority drives. None if there is no such source."""
+        """Return the command that drives, or None. It is the fresh command of the source with the highest priority.
+        Held sources don't count."""
         if now_ns != self._asked_ns:
             self._asked_ns = now_ns
             free = (self.fresh(source, now_ns) for source in self._rank if source not in self._held)
@@ -142,7 +142,7 @@ class Sources:
         return self._found
 
     def last_driver(self) -> Command | None:
-        """The last command of the source that drove last, no matter how old it is."""
+        """Return the last command of the source that drove last, no matter how old it is."""
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
@@ -154,8 +154,9 @@ class Sources:
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """A table of the sources for people, the highest priority first. Every source with a fresh command has a row,
-        even while it is held. The source that drove last also has a row if it fell silent while the wheels turned."""
+        """Return a table of the sources for people, the highest priority first. Every source with a fresh command has a
+        row, even while it is held. The source that drove last also has a row if it fell silent while the wheels
+        turned."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

@@ -16,12 +16,12 @@ class TurningWatch:
         commanded."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """Since when motion has been enabled while zero is commanded. 0 if motion is disabled, or if a velocity is
-        commanded."""
+        """The time since which motion has been enabled and zero has been commanded. 0 if motion is disabled, or if a
+        velocity is commanded."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
-        """The reason why motion must be disabled, or empty if there is none. `idle`: True if motion is enabled and zero
-        is commanded."""
+        """Return the reason why motion must be disabled, or an empty text if there is none. `idle`: True if motion is
+        enabled and zero is commanded."""
         self._idle_ns = (self._idle_ns or now_ns) if idle else 0
         if not idle or now_ns - self._idle_ns < self._after_ns:
             return ""

@@ -71,7 +71,7 @@ class Admission:
         self.stopped_in = 0
         """The newest epoch in which the port owner has stopped by itself; 0 if it has not."""
         self._stopped_ns = 0
-        """When the port owner last stopped by itself."""
+        """The time when the port owner last stopped by itself."""
         self.wheels_move = False
         """True if a motion frame was written since the last stop."""
 
@@ -100,22 +100,22 @@ class Admission:
         return rules.check(motion[0]) or ADMIT
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop if this motion frame must not be written, or None if it may be."""
+        """Return the cause of a stop if this motion frame must not be written, or None if it may be."""
         fault = self._board.check_motion(frame, self._max_rps)
         return None if fault == "" else causes.BAD_FRAME(_said(fault))
 
     def current(self, motion: DatedFrame, epoch: int, now_ns: int) -> bool:
-        """True if the frame belongs to the current epoch, the port owner has not stopped by itself in that epoch, and
-        the frame is young enough."""
+        """Return True if the frame belongs to the current epoch, the port owner has not stopped by itself in that
+        epoch, and the frame is young enough."""
         _, frame_epoch, frame_ns = motion
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """When the earlier of the two leases ends, if the gate and the supervisor last beat at these times."""
+        """Return when the earlier of the two leases ends, if the gate and the supervisor last beat at these times."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
-        """The cause of a stop if one of the two leases has ended, or None if both hold."""
+        """Return the cause of a stop if one of the two leases has ended, or None if both hold."""
         for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
             if now_ns - beat_ns >= self._lease_ns:
                 return causes.HANGS(name, (now_ns - beat_ns) // MS)
@@ -136,7 +136,7 @@ class Admission:
         return causes.DEFECT(layout.SUPERVISOR, f"epoch {epoch}", f"{before} was in force")
 
     def impossible(self, frame_ns: int, epoch: int, latched_in: int, *, alone: bool) -> Cause | None:
-        """The cause of a stop if an admitted motion frame breaks an invariant, or None if all invariants hold.
+        """Return the cause of a stop if an admitted motion frame breaks an invariant, or None if all invariants hold.
         `latched_in`: the epoch of the latched stop, or 0 if no stop is latched. `alone`: True if no other process
         writes the port owner's memory."""
         if not alone:
@@ -162,15 +162,14 @@ class BusSchedule:
         them."""
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop if this frame for the servos must not be written, or None if it may be."""
+        """Return the cause of a stop if this frame for the servos must not be written, or None if it may be."""
         fault = "this robot has no arm"
         if self._bus and self.servos:
             fault = self._bus.check(frame, self.servos, LONGEST_MOVE_MS)
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
-        """When a frame that has passed check() may be written, which is now or soon. NEVER means that it must be
-        dropped."""
+        """Return when a frame that has passed check() may be written, or NEVER if it must be dropped."""
         bus = self._bus
         if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER
@@ -191,6 +190,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """The result of a check as text. Only an empty text lets a frame pass. None counts as a fault, because a check that
-    forgets to return a text returns None."""
+    """Return the result of a check as text. Only an empty text lets a frame pass. None counts as a fault, because a
+    check that forgets to return a text returns None."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

@@ -59,7 +59,7 @@ class PortOwner:
         """A timer that is set while something moves. It is due when a lease ends, or when the gate has sent no new
         motion for too long."""
         self._arm_due = self.loop.timer()
-        """When the next waiting frame for the arm may be written."""
+        """A timer that is due when the next waiting frame for the arm may be written."""
         self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)
         """Frames that are not motion and that wait to be written. The timer `_others_due` is set to the time when the
         first one may be written."""
@@ -421,7 +421,7 @@ class PortOwner:
             self.repeats.restart(now_ns)
 
     def _impossible(self, frame_ns: int) -> Cause | None:
-        """The cause of a stop if an admitted motion frame breaks an invariant, or None if it may be written.
+        """Return the cause of a stop if an admitted motion frame breaks an invariant, or None if it may be written.
         `frame_ns`: when the gate made the frame."""
         latch, alone = self._latch.read(), self._pid_word.get() == self._pid
         latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0

@@ -29,7 +29,7 @@ class MotionWriter:
         self._since_word.set(ns)
 
     def stopped(self) -> None:
-        """Call it when a stop was written."""
+        """Record that a stop was written."""
         if self.turning:
             self._since(0)
 

@@ -38,8 +38,8 @@ class OpenPort:
         self._hears = loop.timer()
         state = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
-        """When the board can hear. If an earlier port owner has used this port, the port was not opened again, so the
-        board hears already."""
+        """The time from which the board can hear. If an earlier port owner has used this port, the port was not opened
+        again, so the board hears already."""
         self._settings_left = () if state == records.PORT_OPEN else self._opening
         """Frames that the board must still receive before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
@@ -55,8 +55,8 @@ class OpenPort:
         written directly behind a stop, and the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
-        """Call it when the first burst was written to the port. The port counts as open once the board hears and has
-        received its settings."""
+        """Begin to use the port, after the first burst was written to it. The port counts as open once the board hears
+        and has received its settings."""
         self._hears.set(now_ns if self._wire.lost else self.hears_ns)
         self.configure(now_ns)
 

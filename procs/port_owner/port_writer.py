@@ -79,9 +79,9 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Returns False if nothing was written. This is so if the kernel takes no byte, if the port is
-        lost, or if an earlier write or an early stop is not finished. Nothing is written either if more than `backlog`
-        of this writer's bytes are still in the kernel, because the frame would arrive late behind them."""
+        """Write one frame. Returns False if nothing was written. The kernel may take no byte, the port may be lost, or
+        an earlier write or an early stop may not be finished. A frame is also not written if more than `backlog` of
+        this writer's bytes are still in the kernel, because it would arrive late behind them."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0
@@ -93,7 +93,7 @@ class PortWriter(StopPort):
         return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
-        """True if the port has held bytes back for DRAIN_NS. Call it once per tick."""
+        """Return True if the port has held bytes back for DRAIN_NS. Call it once per tick."""
         if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
             self._refused = False  # the last write failed only because another thread was writing
         if self.lost or not (self.unsent or self._refused or self.holds()):

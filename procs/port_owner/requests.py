@@ -22,11 +22,11 @@ class RequestPipe:
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """When the rest after a request ends; NEVER while the pipe does not rest."""
+        """A timer that is due when the rest after a request ends. Set to NEVER while the pipe does not rest."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True if a stop is requested at this wake-up."""
+        """Return True if a stop is requested at this wake-up."""
         if self._fd in ready:
             return True
         if self._rests.due(now_ns):
@@ -34,7 +34,7 @@ class RequestPipe:
         return False
 
     def waits(self) -> bool:
-        """True if the pipe rests and another request already waits in it."""
+        """Return True if the pipe rests and another request already waits in it."""
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def accept(self, now_ns: int) -> Cause:

@@ -89,8 +89,9 @@ class Stopper:
             self._burst(now_ns)
 
     def _succeeded(self) -> bool:
-        """True if a new port owner runs. It stopped the wheels when it started, and motion may have been enabled since.
-        So a stopper that was held up must not interrupt that motion because of the death of the previous port owner."""
+        """Return True if a new port owner runs. It stopped the wheels when it started, and motion may have been enabled
+        since. So a stopper that was held up must not interrupt that motion because of the death of the previous port
+        owner."""
         named = self._port_owner.named()
         return named != self._stopped_for and self._port_owner.heart.running(named)
 
@@ -122,8 +123,8 @@ class Stopper:
             self._write()
 
     def _hangs_ns(self) -> int:
-        """When the port owner counts as hanging, unless it beats earlier. NEVER if no port owner runs, or if this one
-        was killed already."""
+        """Return the time when the port owner will count as hanging, unless it beats earlier. NEVER if no port owner
+        runs, or if the port owner was killed already."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
             return NEVER
@@ -143,7 +144,8 @@ class Stopper:
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
-        """True if the silent port owner is starved, and the last thing that was written to the wheels is a stop."""
+        """Return True if the silent port owner is starved, and the last thing that was written to the wheels is a
+        stop."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False

@@ -13,8 +13,8 @@ UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
 """The states of the charger, as indices of records.PLUGGED."""
 
 LOW_READINGS = 5
-"""How many low readings in a row stop the robot. About one reading comes per second. A single low one proves nothing,
-because the motors pull the voltage down when they start."""
+"""How many low readings in a row stop the robot. About one reading comes per second. A single low reading proves
+nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000

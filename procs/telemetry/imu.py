@@ -29,7 +29,7 @@ class Accelerometer:
         self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
-        """The acceleration in m/s2, from a sample in g."""
+        """Return the acceleration in m/s2, from a sample in g."""
         (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
         return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
 
@@ -55,7 +55,7 @@ class GyroBias:
     def __init__(self, settings: Settings) -> None:
         self._calibration_ns = settings.ns("imu.calibration_s")
         self._std_radps = settings["imu.calibration_std_dps"] * RAD_PER_DEG
-        """The largest standard deviation at which the robot counts as still."""
+        """The largest standard deviation at which the robot counts as still, rad/s."""
         self._rest_ns = settings.ns("imu.tracking_rest_s")
         self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
         self._tau_s = settings["imu.tracking_tau_s"]

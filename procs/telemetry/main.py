@@ -74,10 +74,10 @@ class GateState:
         self.velocity = STANDSTILL
         """The commanded velocity: m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
-        """From when this state counts: when the gate published it, or when telemetry noticed that the gate is
-        silent."""
+        """The time when the gate published this state, or when telemetry noticed that the gate is silent."""
         self.zero_ns = 0
-        """Since when zero has been commanded. 0 if another velocity is commanded, or if nothing was published yet."""
+        """The time since which zero has been commanded. 0 if another velocity is commanded, or if nothing was published
+        yet."""
         self.wheels_rps: tuple[float, ...] = ()
         """The commanded turns per second of each wheel, by wire id."""
 
@@ -237,7 +237,7 @@ class Telemetry:
                 self._measured.inherit(turns, speeds, read_ns)
 
     def _known_charger_state(self) -> int:
-        """The state of the charger, as an earlier telemetry process has saved it."""
+        """Return the state of the charger, as an earlier telemetry process has saved it."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 

@@ -19,7 +19,7 @@ class OddReports:
         self._noted: set[str] = set()
 
     def text(self, what: str, value: str) -> str:
-        """The text of a note about this value. Empty if a value of this kind was noted before."""
+        """Return the text of a note about this value, or an empty text if a value of this kind was noted before."""
         if what in self._noted:
             return ""
         self._noted.add(what)

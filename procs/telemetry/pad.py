@@ -25,8 +25,8 @@ FULL_AXIS = 127
 SILENCE_NS = 500_000_000
 """If no frame has come for this long, no button counts as held. Normally about 20 frames come per second."""
 HOLD_ENDS = 3
-"""A hold of MODE ends when this many frames in a row don't have MODE pressed. A smaller number of such frames may only
-have been received wrongly."""
+"""A hold of MODE ends when this many frames in a row show that MODE is not pressed. Fewer frames may only have been
+received wrongly."""
 RAW_FRAMES = 6
 """How many raw frames are kept for the log. They show what the gamepad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
@@ -131,14 +131,14 @@ class Pad:
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm, locks)
 
     def _same_ns(self, sample: tuple[int, ...], t_ns: int) -> int:
-        """How long all frames have been the same, ns."""
+        """Return how long the gamepad has sent the same frame, ns."""
         if sample != self._sample:
             self._sample, self._sample_ns = sample, t_ns
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """The cause of a stop if a button was pressed, or None. One frame is enough, because a short tap lasts only
-        one."""
+        """Return the cause of a stop if a button was pressed, or None. One frame is enough, because a short tap lasts
+        only one."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
         return causes.BUTTON(pressed) if pressed else None
@@ -151,7 +151,7 @@ class Pad:
         return self.joint, self._axis(-rx)
 
     def recent(self) -> str:
-        """The last raw frames in hex, oldest first. Each has its age in ms, counted back from the newest one."""
+        """Return the last raw frames in hex, oldest first. Each has its age in ms, counted back from the newest one."""
         newest_ns = self._raw[-1][0] if self._raw else 0
         return ", ".join(f"{raw.hex()} (-{(newest_ns - t_ns) // 1_000_000} ms)" for t_ns, raw in self._raw)
 
@@ -196,7 +196,7 @@ class Pad:
         return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
 
     def _axis(self, raw: int) -> float:
-        """The position of an axis, from -1 to 1, or 0 within the dead zone. Raw values go down to -128."""
+        """Return the position of an axis, from -1 to 1, or 0 within the dead zone. Raw values go down to -128."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
 
@@ -208,12 +208,12 @@ class Tones:
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """The arguments of the last call. At first a stop counts as latched, because a stop that is already latched was
-        announced when it happened."""
+        """The arguments of the last sound_for(). At first a stop counts as latched, because a stop that is already
+        latched was announced when it happened."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
-        """The sound to make now, or None. A latched stop also locks the gamepad, but then only the sound of the stop is
-        made."""
+        """Return the sound to make now, or None. A latched stop also locks the gamepad, but then only the sound of the
+        stop is made."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
             return None

@@ -21,7 +21,7 @@ class HeardPort:
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
-        """When the port was last found without waiting bytes."""
+        """The last time when no bytes were waiting at the port."""
         self._epoch = self._proved_ns = self.waited_ns = 0
         """`waited_ns`: how long the last bytes may have waited before they were read."""
         self.fd = -1
@@ -47,7 +47,8 @@ class HeardPort:
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def poll(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """The bytes that have come since the last call, as (when they came, the bytes). Call it once per turn."""
+        """Return the bytes that have come since the last call, as pairs (when they came, the bytes). Call it once per
+        turn."""
         waited_ns = now_ns - self._empty_ns
         came_ns, self.waited_ns = (now_ns, waited_ns) if waited_ns < LATE_NS else (self._empty_ns, 0)
         found = []

@@ -1,5 +1,5 @@
-"""Proving: publishes what the board's answers and reports prove. The supervisor learns up to which time the board has
-handled everything that was written, and since when the board obeys zero although motion is commanded."""
+"""Proving: publishes what the board's answers and reports prove. The records show up to which time the board has
+handled everything that was written, and since when it has obeyed zero although motion is commanded."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 FORGOTTEN_NS = 500_000_000
 """A report of the obeyed command that is older than this says nothing about the present."""
 PAUSE_NS = 100_000_000
-"""If the reports pause for longer than this, and for longer than two reports take, the time for which the board has
-obeyed zero is counted again from the first report after the pause. The reason is that a stalled adapter delivers old
-reports after the pause."""
+"""If the reports pause for longer than this, and for longer than two reports take, the board counts as obeying zero
+only since the first report after the pause. The reason is that a stalled adapter delivers old reports after the
+pause."""
 
 
 class Proving:
@@ -41,7 +41,7 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """If the board's own watchdog has ended the last motion, the time when this motion was written. Otherwise 0."""
+        """The time when the last motion was written, if the board's own watchdog has ended that motion; otherwise 0."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:

@@ -17,8 +17,8 @@ READS_APART_NS = 40_000_000
 
 
 class ReadBack:
-    """The verdict from the board's reports. `still_ns`: since when the wheels have been still, or 0 if they turn.
-    `judged_ns`: the time of the last judged report, or 0 if there is none."""
+    """Judges from the board's reports whether the wheels are still. `still_ns`: since when the wheels have been still,
+    or 0 if they turn. `judged_ns`: the time of the last judged report, or 0 if there is none."""
 
     def __init__(self) -> None:
         self.still_ns = self.judged_ns = 0
@@ -39,7 +39,8 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """True if the report says that the wheels are still, False if they turn, None if that is not known yet."""
+        """Return True if the report says that the wheels are still, False if they turn, and None if that is not known
+        yet."""
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

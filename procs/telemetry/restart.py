@@ -48,13 +48,13 @@ class RestartWatch:
     def forget(self) -> None:
         """Begin again, for example after another port was opened."""
         self._last_ns = self._other_ns = 0
-        """When the last regular report came, and when the last sample of another kind came."""
+        """The times when the last regular report and the last sample of another kind came."""
         self._learned = (0, 0)
-        """Since when the reports have been counted, and how many have come since then."""
+        """The time when the counting of the reports began, and how many have come since then."""
         self._period_ns = 0.0
         """The time between two reports, or 0 if it is not known yet."""
         self._pause: tuple[int, int] | None = None
-        """When the last pause began and when it ended. None if there was none, or if it was judged already."""
+        """The times when the last pause began and ended. None if there was none, or if it was judged already."""
         self._came = 0
         self._continues = False
         """True if the counters continued from their last values after the pause."""

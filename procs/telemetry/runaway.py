@@ -76,18 +76,18 @@ class Limits(Data):
     counts: float
     """Counts per turn of a wheel, or 0 if the board reports speeds."""
     braking_rps2: float
-    """How fast a wheel slows down, at least."""
+    """The least rate at which a wheel slows down, in turns per second squared."""
     told_rps: float
-    """If the commanded speed is below this, turns per second, the wheel may stand still."""
+    """A wheel may stand still if its commanded speed is below this, turns per second."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """How long a wheel may turn faster than commanded, ns. This is the time to run down from `told_rps`, plus a
-        margin."""
+        """Return how long a wheel may turn faster than commanded, ns. This is the time to run down from `told_rps`,
+        plus a margin."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
 def limits_of(settings: Settings, board: Board) -> Limits | None:
-    """The thresholds for this robot. None if its board does not report often enough to be judged."""
+    """Return the thresholds for this robot, or None if its board does not report often enough to be judged."""
     reports, rim_m = board.reports, pi * settings["wheels.diameter_m"]
     if not 0 < reports.every_ns < SELDOM_NS or not (reports.speed_per_rps or reports.position_per_turn):
         return None
@@ -162,9 +162,9 @@ class _Wheel:
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """True if the wheel slows down so much that one count of the encoder and a late report can't explain it. Also
-        True if one of the two halves (see SLOWS) has no report, because then nobody can tell. `count`: one count, in
-        turns times ns. `late_ns`: how late a report may be."""
+        """Return True if the wheel slows down so much that one count of the encoder and a late report can't explain it.
+        Also return True if one of the two halves (see SLOWS) has no report, because then nobody can tell. `count`: one
+        count, in turns times ns. `late_ns`: how late a report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -221,7 +221,7 @@ class RunawayJudge:
         self._read_ns, self._turns = now_ns, ()
 
     def _fastest(self, index: int) -> float:
-        """The fastest speed that was lately commanded for this wheel."""
+        """Return the fastest speed that was recently commanded for this wheel."""
         return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
@@ -253,7 +253,7 @@ class RunawayJudge:
         return found
 
     def _bounds(self, index: int, since_ns: int) -> tuple[float, float]:
-        """The lowest and the highest speed that were commanded for this wheel since `since_ns`."""
+        """Return the lowest and the highest speed that were commanded for this wheel since `since_ns`."""
         lowest = highest = self._told[-1][1][index]
         for at in range(len(self._told) - 2, -1, -1):
             if self._told[at + 1][0] <= since_ns:
@@ -286,9 +286,10 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """If a wheel is too fast in two reports that are at most this far apart, it counts as too fast between them
-        too. In a longer gap, the wheel may have done anything. Reports of positions may be further apart than reports
-        of speeds, because a position shows how far the wheel has turned since the previous report."""
+        """Return the longest gap between two reports that still counts as covered. If a wheel is too fast in both
+        reports, it counts as too fast between them too. In a longer gap, the wheel may have done anything. For reports
+        of positions the gap may be longer than for reports of speeds, because a position shows how far the wheel has
+        turned since the previous report."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

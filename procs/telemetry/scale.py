@@ -34,8 +34,7 @@ RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
 large difference counts. The first value is for the time while the command rises, and the second for the time after it
 was reached."""
 FORGET_S = 10.0
-"""When this many seconds have been compared, half of them are forgotten, so that the result follows changes of the
-robot."""
+"""When the sums cover more than this many seconds, they are halved, so that the result follows changes of the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
 """Commands below these (turns per second, rad/s) are not compared, because they are rounded, and a motor may not start
 to turn."""
@@ -100,8 +99,8 @@ class Ratio:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, least: float, most: float) -> bool:
-        """True if the ratio is certainly below `least` or above `most`. A wheel that lags behind is not slow, so while
-        the command rises the wheel can only be called too fast."""
+        """Return True if the ratio is certainly below `least` or above `most`. A wheel that lags behind is not slow, so
+        while the command rises the wheel can only be called too fast."""
         risen, reached = self.risen, self.reached
         if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
             return True
@@ -168,7 +167,7 @@ class ScaleJudge:
         return (bool(self.wrong), bool(self.remarks)) != before
 
     def _of_wheels(self) -> tuple[str, str]:
-        """Two texts about the wheels: what is wrong, and a remark. Each may be empty."""
+        """Return two texts about the wheels: what is wrong, and a remark. Each may be empty."""
         holds = self._reports.holds_speed
         turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         if not turning or not _all_differ(turning, scale.FITS):

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
 """The kinds of reports that come regularly. A key or a gamepad sends reports only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""No shorter pause counts as silence. An adapter may stall for up to 0.3 s, and a restart takes about as long."""
+"""The shortest pause that can count as silence. An adapter may stall for up to 0.3 s, and a restart takes about as
+long."""
 DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
@@ -40,7 +41,7 @@ class Silence:
         """`patience_ns`: how long the board may pause, as an earlier telemetry process has measured it; 0 if not
         known."""
         self.said_ns = 0
-        """When the board last sent anything, or 0 if it has not."""
+        """The time when the board last sent anything, or 0 if it has not."""
         self.patience_ns = patience_ns
         """How long the board may pause. 0 if that is not known, or if the board sends only answers."""
         self._understood_ns = self._regular_ns = 0

@@ -61,8 +61,8 @@ class StateFiles:
         self._running = False
 
     def read(self, what: str, name: str) -> str:
-        """The text of a file, or empty if the file does not exist or can't be read. Call it only at the start, because
-        it reads the disk directly, without the thread."""
+        """Return the text of a file, or an empty text if the file does not exist or can't be read. Call it only at the
+        start, because it reads the disk directly, without the thread."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:
@@ -83,7 +83,7 @@ class StateFiles:
         self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[tuple[str, str]]:
-        """The new lines for the journal, as (text, what to do about it)."""
+        """Return the new lines for the journal, as (text, what to do about it)."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
     def _put(self, what: str, write: Callable[[], None]) -> None:

@@ -39,7 +39,7 @@ class StillJudge:
         """If the present window is quiet, the times of the first and the last sample of the first window in the
         unbroken row of quiet windows. Otherwise zeros."""
         self.still_ns = 0
-        """Since when the wheels have been still, because all samples from this time on are in quiet windows. 0 if the
+        """The time since which the wheels have been still: all samples from this time on are in quiet windows. 0 if the
         wheels turn, or if it is not known. The time may be a little before the wheels stopped, because a window is
         quiet as soon as the wheels were at rest during most of it."""
         self.judged_ns = 0
@@ -76,7 +76,7 @@ class StillJudge:
         self._sums = (sum_x, squares_x, sum_y, squares_y)
 
     def _judge(self, t_ns: int) -> bool:
-        """True if this window is quiet. Also updates the verdict."""
+        """Update the verdict from the present window. Returns True if the window is quiet."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         count = len(self._samples)
         # The variance times count x (count - 1).

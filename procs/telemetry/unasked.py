@@ -46,8 +46,8 @@ class Unasked:
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned. 0 if it was not disabled for this reason, or if the
-        wheels have stopped since."""
+        """The time when motion was disabled because the wheels turned. 0 if it was not disabled for this reason, or if
+        the wheels have stopped since."""
         self._epoch = 0
         self._rested = False
         """True if the wheels have been seen still in the current epoch."""

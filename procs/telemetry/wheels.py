@@ -26,8 +26,8 @@ _NOT_REPORTED = (nan,) * MOST_WHEELS
 LEAST_COUNTS = 2.5
 """If a position changes by fewer counts than this, it is the jitter of an encoder at rest."""
 FASTEST_RPS = 50.0
-"""No wheel turns this fast, turns per second (12 m/s for a wheel of 8 cm). Faster reports are not believed, unless the
-settings allow such speeds."""
+"""The highest speed that is believed, in turns per second (12 m/s for a wheel of 8 cm). It is higher if the settings
+allow high speeds."""
 LEAST_TURN = 0.02
 """A change of fewer turns than this does not count as a jump of a counter (5 mm for a wheel of 8 cm)."""
 LONGEST_SILENCE_NS = 500_000_000
@@ -36,11 +36,11 @@ turns."""
 SAME_READ_NS = 5_000_000
 """Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""When a counter has started again at zero, it has counted for at most this long before it is first read."""
+"""After a counter has started again at zero, its first report is expected within this time."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
-    """These values, filled up with NaN to the number of wheels in a record."""
+    """Return these values, filled up with NaN to the number of wheels in a record."""
     return (*values, *_NOT_REPORTED)[:MOST_WHEELS]
 
 
@@ -64,7 +64,7 @@ class Measured:
         """How many turns one count is. 0 if that is too small to matter, or if the board does not count."""
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
-        """When the newest believed report came, or 0 if there is none."""
+        """The time when the newest believed report came, or 0 if there is none."""
         self.speeds_rps: tuple[float, ...] = ()
         """The speeds in turns per second. Empty if they are not known."""
         self.turns: tuple[float, ...] = ()
@@ -156,7 +156,7 @@ class Measured:
         self.missed += max(map(abs, self.speeds_rps), default=0.0) * longest_s
 
     def _steps(self, before: tuple[float, ...], positions: tuple[float, ...]) -> tuple[float, ...]:
-        """The turns between two reports."""
+        """Return the turns between two reports."""
         told = self._reports
         steps = [now - then for now, then in zip(positions, before, strict=True)]
         if told.wraps:
@@ -168,7 +168,7 @@ class Measured:
         return all(abs(step) <= most for step in steps)
 
     def _restarted(self, positions: tuple[float, ...], steps: tuple[float, ...], elapsed_ns: int) -> bool:
-        """True if all counters are close to zero although the wheels were not turning towards zero."""
+        """Return True if all counters are close to zero although the wheels were not turning towards zero."""
         if len(self.speeds_rps) != len(positions):
             return False
         short_s, elapsed_s = min(elapsed_ns, _AT_ONCE_NS) * 1e-9, elapsed_ns * 1e-9
@@ -192,8 +192,8 @@ class Way:
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """True if the wheels have moved further than a flipping count explains, or if the board reports no positions.
-        `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
+        """Return True if the wheels have moved further than a flipping count explains, or if the board reports no
+        positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -211,9 +211,9 @@ class WheelFact:
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """Since when the wheels have been still or turning, as `does` says. 0 if that is not known."""
+        """The time when the wheels last began to turn or to be still, whichever they do now. 0 if that is not known."""
         self.read_ns = 0
-        """When the newest reading was made, or 0 if there is none."""
+        """The time when the newest reading was made, or 0 if there is none."""
         self.unexpected = False
         """True if the wheels turn although zero has been commanded for longer than allowed."""
 

@@ -4,8 +4,8 @@ servos and texts are results.
 The arm moves only while motion of the wheels is disabled and no stop is latched. If the board can move arm and wheels
 together, the arm may also move while motion is enabled. A stop takes the arm from the client that moves it, and so does
 an enable. A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that lasts
-about one period. Each frame has the moves of a few servos. So if the gate dies, the arm stops at the end of its last
-move. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
+about one period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a few
+servos. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ STEPS_APART_NS = 1_000_000
 """The shortest time between two calls of step(). Without this pause, an arm that has more work to do would keep the
 gate awake all the time."""
 NEAR = 0.5
-"""A trajectory counts as finished when each joint is this close to its end, in pulses. A frame has whole pulses, so it
-can't bring a joint closer."""
+"""How close each joint must be to its last position before a trajectory counts as finished, in pulses. A frame has
+whole pulses, so it can't bring a joint closer."""
 LOST_NS = 2_000_000_000
-"""If a trajectory takes longer than planned by this much, it has failed."""
+"""A trajectory that takes this much longer than planned has failed."""
 FIND_NS = 4_000_000_000
 
 
@@ -57,20 +57,20 @@ class ArmCore:
         """The sessions that still send goals although a stop or an enable has ended their stream. The value is the time
         of the session's last goal."""
         self._torque_ns = 0
-        """When the servos' bus is free again after the last torque command."""
+        """The time when the servos' bus is free again after the last torque command."""
         self.due_ns = now_ns
         """When step() must be called next, even if nothing happens until then. Each call sets a later time."""
         self._left: dict[Joint, float] = {}
-        """For servos that move on to their last goal even after a stop (ServoBus.holds_by_goal): the last goal of each
-        such servo, until the servo is known to have arrived."""
+        """The last goal of each servo that goes on to its goal even after a stop (ServoBus.holds_by_goal). It is kept
+        until the servo is known to have arrived."""
         self.letting_go: list[Joint] = []
         """The joints whose torque must still be switched off."""
         self.active_ns = 0
-        """When the arm was last moved, or asked to move. 0 if there is nothing to tuck: nobody has used the arm, its
-        torque is off, or it was sent to its tuck pose."""
+        """The time when the arm was last moved, or asked to move. 0 if there is nothing to tuck, because nobody has
+        used the arm, its torque is off, or it was sent to its tuck pose."""
         self.released = False
         self.refused = ""
-        """Why the last goal of a stream was not accepted. Empty if it was accepted."""
+        """The reason why the last goal of a stream was refused. Empty if it was accepted."""
 
     @property
     def trajectory(self) -> Trajectory | None:
@@ -83,16 +83,16 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """The name of the client whose goal or trajectory counts at the moment. Empty if that client has this
-        `session`, or if no client's goal counts."""
+        """Return the name of the client whose goal or trajectory counts at the moment. Empty if no goal counts, or if
+        that client's session is `session`."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """True if the current trajectory or the newest goal of a stream comes from this session, even if the arm can't
-        follow it."""
+        """Return True if the current trajectory or the newest goal of a stream comes from this session, even if the arm
+        can't follow it."""
         return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
@@ -117,9 +117,9 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Why this goal of a stream does not count now. Empty if it counts. A client may go on sending goals while a
-        stop is latched and reset. The reset must not move the arm, so the client's goals count again only after a
-        pause. For example, a person who holds a key must first let go of it."""
+        """Return why this goal of a stream does not count now, or an empty text if it counts. A client may go on
+        sending goals while a stop is latched and then reset. The reset must not move the arm, so the client's goals
+        count again only after a pause. For example, a person who holds a key must first let go of it."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -130,8 +130,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. If another client moved the arm until now, its movement is ended, and `why` is the reason
-        that this client gets. Returns True if a stop must be written because the arm may still be moving."""
+        """Begin a trajectory. If another client moved the arm until now, that movement ends, and `why` is the reason
+        that the other client gets. Returns True if a stop must be written because the arm may still be moving."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -142,8 +142,8 @@ class ArmCore:
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """A trajectory to the drive pose or to the tuck pose (`purpose`), for execute(). None if the settings give no
-        joint a position in this pose."""
+        """Return a trajectory to the drive pose or to the tuck pose (`purpose`), for execute(), or None if the settings
+        give no joint a position in this pose."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -162,10 +162,10 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Forget all goals, like drop(). Call it if you write a stop in any case. The stop also ends a move that still
-        runs after its goal was forgotten. If the arm follows a stream of goals, that stream ends, and its goals count
-        again only after a pause. A stream of the session `but` may continue without a pause. If the torque of some
-        servos was about to be switched off, it stays on."""
+        """Forget all goals, like drop(), but for a caller that writes a stop in any case. The stop also ends a move
+        that still runs after its goal was forgotten. If the arm follows a stream of goals, that stream ends, and its
+        goals count again only after a pause. A stream of the session `but` may continue without a pause. If the torque
+        of some servos was about to be switched off, it stays on."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -192,7 +192,7 @@ class ArmCore:
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     def streaming(self) -> bool:
-        """True while a servo may be moving."""
+        """Return True while a servo may be moving."""
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
@@ -228,9 +228,9 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """The frame that stops joints which lag behind the last goals of an ended stream. It commands each of these
-        joints to the position that was read from it. If one frame has no room for all of them, the next calls return
-        the rest before any servo is read, because nothing can be read while a joint moves."""
+        """Return a frame that stops the joints which have not reached the last goals of an ended stream. The frame
+        commands each of these joints to its measured position. If one frame has no room for all of them, the next calls
+        return the rest before any servo is read, because nothing can be read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -245,7 +245,7 @@ class ArmCore:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
     def _free_ns(self) -> int:
-        """When the servos' bus is free again after the last question and the last torque command."""
+        """Return when the servos' bus is free again after the last question and the last torque command."""
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
@@ -254,7 +254,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """When step() has something to do next. A time in the past means at once."""
+        """Return when step() has something to do next. A time in the past means at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
@@ -318,8 +318,8 @@ class ArmCore:
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """A text that names a joint whose last reading is too far from its position in `ends`, and says how far. Empty
-        if all joints are in place."""
+        """Return a text that names a joint whose last reading is too far from its position in `ends`, and says how far.
+        Empty if all joints are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -327,7 +327,7 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """The frame that switches on the torque of the first of these joints whose torque may be off. Empty if the
+        """Return a frame that switches on the torque of the first of these joints whose torque may be off. Empty if the
         servos' bus is not free yet."""
         if now_ns < self._free_ns():
             return b""
@@ -343,8 +343,8 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Begin to stream moves: from now on, each of these joints gets a move in every period. But if the joints are
-        to follow a trajectory that can't begin at their present positions, the trajectory fails."""
+        """Give each of these joints a move in every period from now on. If there is a trajectory that can't begin at
+        their present positions, it fails instead."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -354,9 +354,8 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, as (frame, hold) like step(). If the arm would hit something, a trajectory ends. A
-        goal of a stream does not end, but the arm waits where it is. `hold` is returned as it was given, unless a
-        trajectory ends."""
+        """Return the moves that are due, as (frame, hold) like step(). If the arm would hit something, a trajectory
+        ends, and the returned `hold` is True. A goal of a stream does not end, but the arm waits where it is."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -367,8 +366,8 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """The frame that asks moving joints for their positions. Empty if the board has no such frame, or if it is too
-        early to ask again."""
+        """Return a frame that asks moving joints for their positions. Empty if the board has no such frame, or if it is
+        too early to ask again."""
         joints = self._reader.look(now_ns)
         return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
@@ -382,7 +381,8 @@ class ArmCore:
             joint.known = True
 
     def pose_name(self) -> str:
-        """The pose in which the joints were last read: drive or tuck. Empty if it is neither, or not known."""
+        """Return the name of the pose in which the joints were last read: drive or tuck. Empty if they were in neither
+        pose, or if their positions are not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
             judged = self.judged(purpose)
             if judged and all(joint.known for joint in judged) and not self.off(judged):
@@ -390,19 +390,19 @@ class ArmCore:
         return ""
 
     def judged(self, purpose: str) -> dict[Joint, float]:
-        """The position that each joint must have in the pose `purpose` (drive or tuck). Joints that are not judged
-        (Joint.judged) are left out."""
+        """Return the position that each joint must have in the pose `purpose` (drive or tuck). Joints that are not
+        judged (Joint.judged) are left out."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
-        """Why the last goal of a stream was not accepted, or why the arm can't go on toward it. Empty if the arm
+        """Return why the last goal of a stream was not accepted, or why the arm can't go on toward it. Empty if the arm
         follows the goal."""
         return self.refused or self._stream.blocked
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """Returns these joints, because they must be read before the trajectory can continue. If they were not read within
-    FIND_NS, the trajectory fails."""
+    """Return these joints, which must be read before the trajectory can continue. If this takes longer than FIND_NS,
+    the trajectory fails."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

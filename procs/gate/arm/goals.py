@@ -45,8 +45,8 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The position of each joint in the mode follow, or the rate of each joint in the mode jog. They don't depend
-        on the time."""
+        """Return the position of each joint in the mode follow, or the rate of each joint in the mode jog. The result
+        does not depend on the time."""
         return self.ends
 
 
@@ -121,8 +121,8 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """A text that names a joint whose rate (rad/s) is too high, with the highest allowed rate. Empty if all rates are
-    allowed."""
+    """Return a text that names a joint whose rate (rad/s) is too high, with the highest allowed rate, or an empty text
+    if all rates are allowed."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -131,8 +131,8 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """A text that names a joint which would have to turn too fast between two rows of a trajectory, or two times that
-    are in the wrong order. Empty if nothing is wrong."""
+    """Return a text that names a joint which would have to turn too fast between two rows of a trajectory, or two rows
+    whose times are in the wrong order. Empty if nothing is wrong."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -12,11 +12,11 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""By how much the port owner's delays for two frames may differ on a busy machine. If a question arrives too soon after
-the frame before it, the port owner drops it, and it would seem to be unanswered."""
+"""How much the port owner's delays for two frames may differ on a busy machine. The port owner drops a question that
+arrives too soon after the frame before it, and the servo would seem not to answer."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
-"""How long after the last move no question is asked. The port owner would drop it, because a servo may still be
-moving."""
+"""The shortest time between the last move and the next question. The port owner would drop an earlier question, because
+a servo may still be moving."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
 """The shortest time between two questions. The port owner drops a question while an earlier one may still block the
 receiver."""
@@ -48,10 +48,10 @@ class ServoReader:
         self._turn = 0
         self._idle = self._looked = 0
         self.look_ns = now_ns
-        """When the next question about moving joints may be asked."""
+        """The time when the next question about moving joints may be asked."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """While joints move, the joints to ask for their positions now. Empty if it is too early to ask."""
+        """Return the moving joints that must be asked for their positions now. Empty if it is too early to ask."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -69,15 +69,15 @@ class ServoReader:
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """When the receiver is free again after the last question, even if the servo does not answer."""
+        """Return when the receiver is free again after the last question, even if the servo does not answer."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
         return self._asked_ns + WAIT_NS if self._asked else max(self._next_ns, self._quiet_ns)
 
     def ask(self, wanted: list[Joint], now_ns: int) -> tuple[Joint, int] | None:
-        """The question to ask now, as (joint, kind of value). None if it is too early to ask. `wanted`: the joints
-        whose positions are needed first."""
+        """Return the question to ask now, as (joint, kind of value), or None if it is too early to ask. `wanted`: the
+        joints whose positions are needed first."""
         if self._asked and now_ns >= self._asked_ns + WAIT_NS:
             self._missed(self._asked[0])
         if self._asked or now_ns < self._next_ns or now_ns < self._quiet_ns:
@@ -94,9 +94,9 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """The question to ask while nobody waits for an answer, as (joint, kind of value). The reader asks a joint for
-        its position twice in a row, and then for its temperature, torque or supply voltage. After that it asks the next
-        joint."""
+        """Return the question to ask while nobody waits for an answer, as (joint, kind of value). The reader asks a
+        joint for its position twice in a row, and then for its temperature, torque or supply voltage. After that it
+        asks the next joint."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]

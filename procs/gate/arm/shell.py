@@ -188,7 +188,7 @@ class Arm:
         return self._execute(Waiter(request, trajectory), "preempted", now_ns)
 
     def _trajectory(self, request: Request) -> Trajectory | str:
-        """The requested trajectory, or a text that says why the request can't be carried out."""
+        """Return the requested trajectory, or a text that says why the request can't be carried out."""
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
@@ -299,8 +299,8 @@ class Arm:
             self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
-        """The time until the arm tucks itself, s. None if the setting is off, or if there is nothing to tuck (see
-        ArmCore.active_ns)."""
+        """Return the seconds until the arm tucks itself. None if the setting is off, or if there is nothing to tuck
+        (see ArmCore.active_ns)."""
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
@@ -308,7 +308,7 @@ class Arm:
         self._notes.append(Note("arm", text, level=level))
 
     def _report_joints(self) -> None:
-        """Report the fault of a servo once, and report once when the fault is over."""
+        """Report each fault of a servo once when it begins, and once when it is over."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:
@@ -324,7 +324,7 @@ class Arm:
                 )
 
     def state(self, closed: str, now_ns: int) -> dict[str, object]:
-        """The arm's part of the state that the gate publishes, for people and programs."""
+        """Return the arm's part of the state that the gate publishes, for people and programs."""
         core = self.core
         trajectory, followed = core.trajectory, core.followed
         left_s, pose = self._tuck_left_s(now_ns), core.pose_name()

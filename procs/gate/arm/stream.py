@@ -16,8 +16,8 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
-"""The shortest time between two frames of moves. If late frames were sent closer together, a stop might have to wait
-too long for them, so the port owner would drop the second one."""
+"""The shortest time between two frames of moves. The port owner would drop a frame that comes sooner, because a stop
+might have to wait too long behind both."""
 
 
 class Space:
@@ -34,8 +34,8 @@ class Space:
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """The joints whose positions must be known before `joints` move. A joint that does not answer is left out, and
-        counts as being where it was last."""
+        """Return the joints whose positions must be known before `joints` move. A joint that does not answer is left
+        out, and counts as being where it was last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
@@ -44,8 +44,8 @@ class Space:
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """A text about what the arm would hit at its joints' next positions. Empty if the arm may move there. In that
-        case the next positions count as the present ones from now on."""
+        """Return a text about what the arm would hit at its joints' next positions, or an empty text if the arm may
+        move there. In that case the next positions count as the present ones from now on."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -70,7 +70,7 @@ class Stream:
         """One entry per group of joints: when the group's next frame is due, and its joints. The group that is due
         first comes first. Empty if no servo is moving."""
         self._apart_ns = 0
-        """When the servos' bus is free again after the last move."""
+        """The time when the servos' bus is free again after the last move."""
         self._blocked: dict[Joint, str] = {}
         """Why each group of joints can't go on toward the goal, or an empty text if it can. The key is the group's
         first joint."""
@@ -85,12 +85,12 @@ class Stream:
 
     @property
     def blocked(self) -> str:
-        """Why a joint can't go on toward the goal. Empty if all can."""
+        """The reason why a joint can't go on toward the goal. Empty if all joints can."""
         return next(filter(None, self._blocked.values()), "")
 
     @property
     def due_ns(self) -> int:
-        """When the next move is due, while joints are moving."""
+        """The time when the next move is due, while joints are moving."""
         return max(self._schedule[0][0], self._apart_ns)
 
     def begin(self, joints: list[Joint], now_ns: int) -> None:
