@@ -70,9 +70,9 @@ class Control:
 
 
 class HeldPort:
-    """The port, as a process other than the port owner holds it. This process adopts every descriptor that the
-    supervisor sends, and publishes the port's number in a word of shared memory. When the device is gone, it closes the
-    port at once. Otherwise the device would get a different name when it is plugged in again."""
+    """Holds the port in a process other than the port owner. It adopts every descriptor that the supervisor sends, and
+    publishes the port's number in a word of shared memory. When the device is gone, it closes the port at once.
+    Otherwise the device would get a different name when it is plugged in again."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int

@@ -58,7 +58,7 @@ class Timer:
 
 
 class Loop:
-    """The descriptors and timers that one process waits for."""
+    """Waits for the descriptors and timers of one process."""
 
     def __init__(self) -> None:
         self._timers: list[Timer] = []

@@ -14,15 +14,14 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""After the supervisor's death, the port owner and the stopper go on for at least this long. On most boards this is
-enough for the burst and its repeats."""
+"""How long the port owner and the stopper go on after the supervisor's death, at least. On most boards this is enough
+for the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
 """How long the port owner and the stopper go on after the last repeat of a stop, so that the repeat gets out of the
 port."""
 LATEST_NS = 500_000_000
-"""The port owner and the stopper exit at the latest this long after the supervisor's death. Before that, each of them
-waits while its port still holds bytes of the stop, because the kernel drops these bytes when the last process closes
-the port."""
+"""How long the port owner and the stopper go on after the supervisor's death, at most. Each of them waits while its
+port still holds bytes of the stop, because the kernel drops these bytes when the last process closes the port."""
 
 
 def leave_after_ns(board: Board) -> int:

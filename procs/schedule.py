@@ -73,8 +73,8 @@ class Pings:
     """Decides when to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has; if it is 0, no loop may wait for `due`. `period_ns`: the
-        usual time between two pings. `quick`: how many pings are sent in quick succession at first."""
+        """`count`: how many different pings the board has. If it is 0, `due` must not be a timer of a loop.
+        `period_ns`: the usual time between two pings. `quick`: how many pings are sent in quick succession at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS

@@ -134,8 +134,8 @@ def bounded(text: str, room: int) -> str:
 
 
 class ClientTable:
-    """All client slots. `active`: the slots that a session holds. Act on each item that a method yields before you take
-    the next one."""
+    """Reads all client slots, and finds what is new in them. `active`: the slots that a session holds. Act on each item
+    that a method yields before you take the next one."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
@@ -157,9 +157,8 @@ class ClientTable:
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these slots, and yield what is new in them. Active slots should be looked at once per tick, because a
-        ring may be lost and a claim may end. All slots should be looked at now and then, in case a new client's ring
-        was lost."""
+        """Look at these slots, and yield what is new in them. Call this for active slots once per tick, because a ring
+        may be lost and a claim may end. Call it for all slots now and then, in case a new client's ring was lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
@@ -178,7 +177,7 @@ class ClientTable:
 
     def _watch(self, slot: Slot) -> None:
         """Watch the client's process for death. If neither its pid nor its futex can be watched, its death is noticed
-        only because its claim ends, which is checked once per tick."""
+        only when its claim ends, which is checked once per tick."""
         # If the client runs in a container, its pid means nothing here, or a different process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:

@@ -22,9 +22,9 @@ def believed_ns(t_ns: int, now_ns: int) -> int:
 
 
 class ScanGate:
-    """The obstacle sensor as a condition for motion. Programs can move the wheels only while the sensor delivers scans;
-    people who drive by hand don't need the sensor. A silent sensor latches nothing. When the sensor delivers scans
-    again, motion resumes by itself, starting from zero."""
+    """Lets programs move the wheels only while the obstacle sensor delivers scans. People who drive by hand don't need
+    the sensor. A silent sensor latches nothing. When the sensor delivers scans again, motion resumes by itself,
+    starting from zero."""
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
@@ -64,8 +64,8 @@ class ScanGate:
 
 
 class Interlocks:
-    """Named conditions that clients confirm. All of them must hold before motion can be enabled, and losing one
-    disables motion."""
+    """Checks the named conditions that clients confirm. All of them must hold before motion can be enabled, and losing
+    one disables motion."""
 
     def __init__(self, declared: dict[str, tuple[int, str]]) -> None:
         """`declared`: for each interlock's name, its timeout in ns and the text of a refusal."""
@@ -87,8 +87,9 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are present, if motion needs an operator (attend.required). Each session reports one operator.
-    A proof of presence counts from the time when the operator's device made it, not from the time when it arrived."""
+    """Records which operators are present, if motion needs an operator (attend.required). Each session reports one
+    operator. A proof of presence counts from the time when the operator's device made it, not from the time when it
+    arrived."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on

@@ -361,7 +361,7 @@ class Gate:
 
     def _allow_motion(self, now_ns: int) -> Reply:
         """Enable motion. First read all new commands, because the gate normally reads a client's requests before its
-        commands. So if a program is already commanding motion, it can't drive off: its commands don't count until it
+        commands. So a program that is already commanding motion can't drive off: its commands don't count until it
         sends zero or pauses."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
@@ -430,9 +430,8 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and when it is PUBLISH_NS old. The time of the last scan changes at
-        every tick. But if only this time has changed, the state is not published, because each reader would have to
-        unpack the whole state."""
+        """Publish the state when it has changed, and when it is PUBLISH_NS old. A new time of the last scan does not
+        count as a change. This time changes at every tick, and each reader would have to unpack the whole state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

@@ -129,7 +129,7 @@ class DriverLosses:
 
 
 class SelfReports:
-    """What each session last reported about itself: what its program sees, and what is wrong. The reports are for
+    """Keeps what each session last reported about itself: what its program sees, and what is wrong. The reports are for
     people, and nothing depends on whether they are true."""
 
     def __init__(self, now_ns: int) -> None:

@@ -23,7 +23,7 @@ ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
 """For each kind of request that may start motion, the kinds of later requests that replace it. The gate refuses a
-request that was replaced. It also refuses each of these requests if a stop has come since the request was made."""
+request that was replaced, or that was made before the last stop."""
 
 
 class Request(Data):
@@ -108,8 +108,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Reply to a client at the next write(). The client gets no reply if a later request of the same session was
-        answered already, because a slot has room for only one reply."""
+        """Reply to a client at the next write(). If a later request of the same session was answered already, this
+        reply is dropped, because a slot has room for only one."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]

@@ -31,9 +31,8 @@ class Rest:
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:
-        """Plan the next tick. Call this at the end of each turn. The next tick comes one period after the last tick. If
-        the gate `rests` or is late, it comes two periods after the last tick. `busy`: True if something could move, or
-        a client is present."""
+        """Plan the next tick. Call this at the end of each turn. The next tick comes one period after the last tick, or
+        two periods if the gate `rests` or is late. `busy`: True if something could move, or a client is present."""
         if busy != bool(self._word.get()):
             self._word.set(busy)
             self._bell.ring()

@@ -47,7 +47,7 @@ class Command(Data):
 
 
 class Sources:
-    """The last command of each source, and which source drives."""
+    """Keeps the last command of each source, and chooses which source drives."""
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
         """`declared`: for each source's name, its priority and its timeout in ns, the highest priority first."""

@@ -128,8 +128,8 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Handle a change of the epoch. A higher epoch means that there was a stop. If the epoch went back, return the
-        cause for a stop. From then on, motion is admitted only in an epoch higher than every epoch that was seen."""
+        """Handle a change of the epoch. A higher epoch means that there was a stop. A lower epoch is a defect: its
+        cause is returned, and motion is admitted only in an epoch higher than every epoch that was seen."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
@@ -147,8 +147,8 @@ class Admission:
 
 
 class BusSchedule:
-    """The schedule of the servos' bus: which frames wait for the bus, and when it is free. This is computed from the
-    frames that the port owner has written."""
+    """Computes when the servos' bus is free, from the frames that the port owner has written, and keeps the frames that
+    wait for the bus."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
         """`bus`: the servos of the board's arm. `servos`: the ids of the robot's servos; empty for a robot without an

@@ -32,8 +32,8 @@ TICK_NS = 33 * MS
 """The longest time between two turns. It is a third of the time that the port owner may be silent
 (policy/processes.py). Anything that it must notice sooner rings a bell or sets a timer."""
 OTHER_BACKLOG = 128
-"""A frame that is not motion is written only if at most this many bytes are still on their way to the board. A stop
-behind these bytes has to wait up to 1.3 ms for them."""
+"""The most bytes that may be on their way to the board when a frame that is not motion is written. A stop behind these
+bytes has to wait up to 1.3 ms for them."""
 MOST_OTHERS = 8
 """How many frames that are not motion may wait while the line must be silent. If there are more, the oldest are
 dropped."""
@@ -344,8 +344,8 @@ class PortOwner:
             self._moving_word.set(0)
 
     def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | BusSchedule) -> int | Cause:
-        """Decide whether a frame may be written, by the tables of admission.py. This is decided at the time of the
-        write, because a frame may have become too old since the wake-up."""
+        """Decide whether a frame may be written, by the tables of admission.py. Call it just before the write, because
+        a frame may have become too old since the wake-up."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()

@@ -23,7 +23,7 @@ AGAIN_NS = 20_000_000
 
 
 class OpenPort:
-    """The port that is open, and everything that other processes learn about it."""
+    """Handles the open port, and publishes what other processes learn about it."""
 
     def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
         own, board = context.own, context.board
@@ -51,8 +51,8 @@ class OpenPort:
         written. If the bytes never get out, the entry counts as lost, which does no harm. But if an entry were missing,
         the board's answer would seem to prove that a later write has arrived."""
         self._ping_backlog = 2 * len(board.burst)
-        """A ping is written only if at most this many bytes are still on their way to the board. So a ping can be
-        written directly behind a stop, and the board handles it right after the stop."""
+        """The most bytes that may be on their way to the board when a ping is written. So a ping can be written
+        directly behind a stop, and the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
         """Begin to use the port, after the first burst was written to it. The port counts as open once the board hears

@@ -10,7 +10,7 @@ from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
-"""If the port holds bytes back for this long, it does not drain, so the robot is stopped."""
+"""How long the port may hold bytes back before it counts as not draining, and the robot is stopped."""
 
 
 class PortWriter(StopPort):

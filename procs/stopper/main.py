@@ -32,8 +32,8 @@ FIRST_GO_NS = 3_000_000
 """How long the port owner may take to answer the supervisor's death. After that the stopper writes a stop itself."""
 LOOK_AGAIN_NS = 200_000
 STALLED_NS = 200_000_000
-"""If the stopper itself was silent for this long, it judges no process by its silence, because the whole service may
-have been frozen."""
+"""If the stopper itself was silent for this long, it does not judge other processes by their silence, because the whole
+service may have been frozen."""
 
 
 class Stopper:

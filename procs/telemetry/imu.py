@@ -39,7 +39,8 @@ def radps(x_dps: float, y_dps: float, z_dps: float) -> Vector:
 
 
 class GyroBias:
-    """The gyro's bias. It is calibrated at the start, and then follows the readings while the robot is at rest.
+    """Finds the gyro's bias. The bias is calibrated at the start, and then follows the readings while the robot is at
+    rest.
 
     calibrating -> calibrated  if the robot was still for the whole time; the mean of the samples is the bias
                 -> kept        if the robot moved or was commanded to; people are warned, and the bias stays as it was

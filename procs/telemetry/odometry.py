@@ -38,7 +38,8 @@ DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_
 
 
 class Odometry:
-    """The pose since the start (x, y in m; th in rad from -pi to pi), and the velocity in the robot's own frame."""
+    """Computes the pose since the start (x, y in m; th in rad from -pi to pi), and the velocity in the robot's own
+    frame."""
 
     def __init__(self, settings: Settings) -> None:
         # The share of the rolled or commanded distance that the base really moves. It is used only here, and never

@@ -62,8 +62,8 @@ class PadNews(Data):
 
 
 class Pad:
-    """The gamepad's state from frame to frame. If the gamepad falls silent in the drive mode, the timeout of its
-    commands stops the wheels."""
+    """Follows the gamepad's state from frame to frame. If the gamepad falls silent in the drive mode, the timeout of
+    its commands stops the wheels."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -101,8 +101,8 @@ class Pad:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """Record that there was a stop. It may have been latched and reset so quickly that follow() never saw it. If a
-        button is held at this moment, the time before the stop does not count towards a reset."""
+        """Record that there was a stop, which may have been latched and reset before follow() saw it. If a button is
+        held at this moment, the time before the stop does not count towards a reset."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
@@ -183,9 +183,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """Returns True once per hold, if MODE was held long enough and a stop was latched during all that time. If the
-        hold began before the stop, only the time since the stop counts, because the person could not know about the
-        stop before. No other button may be pressed."""
+        """Return True once per hold, if MODE was held long enough and a stop was latched all that time. If the hold
+        began before the stop, only the time since the stop counts, because the person could not know about the stop
+        before. No other button may be pressed."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns

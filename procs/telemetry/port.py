@@ -8,7 +8,7 @@ from failstop.procs.handover import Control, HeldPort
 from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
-"""If bytes may have waited for this long, they count as old. An old answer must not be taken for the answer to a newer
+"""How long bytes may have waited before they count as old. An old answer must not be taken for the answer to a newer
 ping (procs/schedule.py), and an old position of a stick must not command motion."""
 
 PROVED_NS = 3_000_000_000
@@ -16,7 +16,7 @@ PROVED_NS = 3_000_000_000
 
 
 class HeardPort:
-    """Reads the port's bytes. All bytes come with the latest time at which they can have arrived."""
+    """Reads the port's bytes. poll() returns them with the latest time at which they can have arrived."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")

@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 RAN_AWAY, STANDS = "ran away", "stands"
 
 LAG_NS = 300_000_000
-"""For this long after a new command, the wheels may still do what was commanded before. It covers the time until the
-command reaches the board, the delay of the board's controller, and a late report."""
+"""How long after a new command the wheels may still do what was commanded before. It covers the time until the command
+reaches the board, the delay of the board's controller, and a late report."""
 BEYOND_NS = 200_000_000
 """A wheel can count as run away only if it was faster than commanded, or turned in the other direction, for at least
 this long and in at least LEAST_REPORTS reports."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
-"""If follow() was not called for longer than this, the commands are not known, so nobody can say what the wheels should
+"""How long the commands count as known after the last call of follow(). Later, nobody can say what the wheels should
 do."""
 SLOWS = 0.92
-"""The time in which a wheel is too fast is divided into two halves. If the wheel turns in the second half at less than
-this share of its speed in the first half, it is slowing down. It then only rolls out, and has not run away."""
+"""A wheel that has been too fast for some time is slowing down if its speed in the second half of that time is below
+this share of its speed in the first half. It then only rolls out, and has not run away."""
 HELD_BACK_NS = 20_000_000
-"""A serial adapter may deliver a report late by this much (its latency timer). If the report is a position, the delay
-looks like a higher speed."""
+"""How late a serial adapter may deliver a report (its latency timer). If the report is a position, the delay looks like
+a higher speed."""
 STANDS_NS = 3_000_000_000
 """A wheel that does not turn for this long although motion is commanded is stalled or unplugged."""
 STANDS_SHARE = 0.1
@@ -115,7 +115,7 @@ class Finding(Data):
 
 
 class _Wheel:
-    """One wheel: since when it has turned faster than commanded or in the other direction, and since when it has stood
+    """Keeps when one wheel began to turn faster than commanded or in the other direction, and when it began to stand
     still."""
 
     __slots__ = (
@@ -226,8 +226,8 @@ class RunawayJudge:
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
         """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
-        the first wheel that does not turn as commanded, or None. The next reports about a returned wheel return None. A
-        wheel that still runs away is returned again only after it was too fast for the whole allowed time once more."""
+        the first wheel that does not turn as commanded, or None. A wheel that still runs away is returned again only
+        after it was too fast for the whole allowed time once more."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:

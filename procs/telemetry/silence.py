@@ -23,8 +23,8 @@ DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the description gives no pause, the pauses are measured for at least SEEN_FOR_NS, and until SEEN_PAUSES of them
-have come. Until then the board never counts as silent."""
+"""How many pauses are measured at least, if the description gives no pause. The measurement also takes at least
+SEEN_FOR_NS. Until its end the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
 """After the measurement, a pause is silence if it is at least MEAN_PAUSES times as long as the mean pause and
 LONGEST_PAUSES times as long as the longest one. While the machine is held up, pauses look longer than they are. So the
@@ -35,7 +35,8 @@ are no silence."""
 
 
 class Silence:
-    """The silence of one board at one port. Times are CLOCK_MONOTONIC in ns."""
+    """Remembers when one board at one port last sent anything, and how long it may pause. Times are CLOCK_MONOTONIC in
+    ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
         """`patience_ns`: how long the board may pause, as an earlier telemetry process has measured it; 0 if not

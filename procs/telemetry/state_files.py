@@ -50,7 +50,8 @@ def write_whole(path: str, text: str) -> None:
 
 
 class StateFiles:
-    """The jobs for the thread, and their results. Only _work() runs in the thread; everything else runs in the loop."""
+    """Passes jobs to the thread, and returns their results. Only _work() runs in the thread; everything else runs in
+    the loop."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder

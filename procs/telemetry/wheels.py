@@ -45,7 +45,7 @@ def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
 
 
 class Measured:
-    """The speeds and turns of the wheels, by wire id, as the board reports them.
+    """Keeps the speeds and turns of the wheels, by wire id, as the board reports them.
 
     An impossible report is ignored. If a counter jumps and the next report continues from the new value, the new value
     is believed, but the jump does not count as turns. Either the board has restarted, or somebody has reset its
@@ -184,16 +184,16 @@ class Measured:
 
 
 class Way:
-    """How far the wheels have moved since they were last at rest, if the board reports positions. A count may flip back
-    and forth if the encoder rests on an edge; that does not count as movement."""
+    """Checks whether the wheels have moved since they were last at rest, if the board reports only positions. A count
+    may flip back and forth if the encoder rests on an edge; that does not count as movement."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """Return True if the wheels have moved further than a flipping count explains, or if the board reports no
-        positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
+        """Return True if the wheels have moved further than a flipping count explains. Always True if the board reports
+        speeds, or no positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -203,7 +203,8 @@ class Way:
 
 
 class WheelFact:
-    """What is known about the wheels, and since when. Call update() at each reading and at each change of the gate."""
+    """Judges whether the wheels turn or are still, and since when. Call update() at each reading and at each change of
+    the gate."""
 
     def __init__(self, after_ns: int) -> None:
         """`after_ns`: how long the wheels may turn after zero was commanded."""

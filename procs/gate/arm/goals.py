@@ -51,8 +51,8 @@ class Goal(Data):
 
 
 class Trajectory:
-    """The positions of joints over time. At the end, the joints' positions are read, to check that the arm has arrived.
-    A movement to a pose is a trajectory too."""
+    """A movement, as positions of joints over time. At the end, the joints' positions are read, to check that the arm
+    has arrived. A movement to a pose is a trajectory too."""
 
     mode = TRAJECTORY
 

@@ -59,7 +59,7 @@ class Space:
 
 
 class Stream:
-    """The joints that are moving, and when each of them gets its next move."""
+    """Makes the moves of the joints that are moving, and plans when each joint gets its next move."""
 
     def __init__(self, settings: Settings, bus: ServoBus, space: Space) -> None:
         self._bus = bus
