@@ -20,8 +20,8 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
 """How long this process may run at real-time priority without a pause, us. The kernel kills it if it runs longer.
-Otherwise an endless loop would take the core from every process of lower priority. On a computer with one free core,
-the processes that must stop the wheels because of the loop could not run either."""
+Without this limit, an endless loop would take the core from every process of lower priority. On a computer with one
+free core, the processes that must stop the wheels because of the loop could not run either."""
 SUPERVISOR_LOOP_US = 500_000
 """The same limit as LOOP_US, but for the supervisor, us. It is longer, because the service ends if the supervisor is
 killed. It can be longer, because the supervisor has the lowest priority on the stop path, so a loop in it delays no

@@ -24,7 +24,7 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.thread_state import state_of
 
 LONGEST_NS = 5_000_000_000
-"""A process is replaced if it is silent for longer than this after its deadline, even if the machine starves it."""
+"""How long a starved process may be silent after its deadline before it is replaced in any case."""
 _CPU_CLOCK = 2
 """Selects the exact processor time of a process in clock_gettime(2). The clock's number is the inverted pid, shifted
 left by 3, plus this value in the lowest bits."""

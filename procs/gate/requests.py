@@ -57,7 +57,7 @@ class Requests:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """For each kind of request, the time at which the newest carried-out request was made."""
+        """For each kind of request, when the client made the newest one that was carried out."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
         """For each slot, the session and number of the last request that was answered, by this gate or an earlier
@@ -81,8 +81,8 @@ class Requests:
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
         """Check whether a request came too late. Returns the refusal, or None if the request may be carried out. A
         request that could start motion is refused if motion was stopped since it was made, or if a later request
-        replaced it. Any request is refused if its client no longer waits for a reply. A reset is refused if the person
-        who requests it has not seen the newest stop.
+        replaced it. Any request is refused if its client had given up waiting before this gate started. A reset is
+        refused if the person who requests it has not seen the newest stop.
 
         `stopped_ns` and `last`: when the last stop was, and its cause.
         """

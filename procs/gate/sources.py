@@ -18,7 +18,7 @@ from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 PAD_PRIORITY = 101
 JUST_COMMANDED_NS = 5_000_000_000
-"""If a program has commanded motion within this time before an enable, it is likely to do so again."""
+"""A program that has commanded motion within this time before an enable is likely to do so again."""
 PAD_SESSION = records.NOBODY
 """The session of the gamepad's commands. They come from telemetry, not from a client."""
 
@@ -82,8 +82,8 @@ class Sources:
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """Keep a source's new command. A time stamp from the future counts as now. A held source is released if it
-        sends zero or has paused."""
+        """Keep a source's new command. A time stamp from the future counts as now. If the source is held, it is
+        released when it sends zero or has paused."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)

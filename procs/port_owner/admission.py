@@ -56,8 +56,7 @@ from failstop.procs.loop import MS, NEVER
 
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
-"""A frame from the gate, the epoch in which motion was enabled, and when the gate made the frame (CLOCK_MONOTONIC,
-ns)."""
+"""A frame from the gate, the epoch that it carries, and when the gate made it (CLOCK_MONOTONIC, ns)."""
 MOST_WAITING = 16
 
 

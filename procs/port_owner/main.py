@@ -51,8 +51,8 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame, while it waits because the line must first be silent. The timer `_line` is then set
-        to the end of the silence."""
+        """The newest motion frame, while it waits because the line must first be silent; otherwise None. The timer
+        `_line` is set to the end of the silence."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()

@@ -18,7 +18,7 @@ class MotionWriter:
         self.turning = False
         """True if the last command to the wheels was to turn, and no stop was written after it."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
-        """How many bytes may still wait in the port when motion is written. The number is the size of one ping, which
+        """The most bytes that may still wait in the port when motion is written. This is the size of one ping, which
         takes 70 us to send."""
         self._restarts_word = context.segment("telemetry").word("restarts")
         self._restarts = self._restarts_word.get()

@@ -21,7 +21,7 @@ class PortWriter(StopPort):
         self._box: RingWriter | None = None
         self._early: list[int] = []
         """For each early stop that the loop has not handled yet, how many of its bytes the kernel took. ALREADY means
-        that a whole stop was on the line before."""
+        that a whole stop was already on the line."""
         self._handed = 0
         """How many bytes were handed to the kernel since the kernel last held none of them."""
         self._held_since_ns = 0

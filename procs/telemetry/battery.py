@@ -18,7 +18,7 @@ nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""Only readings older than this count as the voltage before a step. The firmware averages its readings, so a step takes
+"""How old a reading must be to count as the voltage before a step. The firmware averages its readings, so a step takes
 about 3 s to show fully."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled before a step in the voltage counts. The motors' load moves the voltage by up

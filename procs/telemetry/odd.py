@@ -12,7 +12,7 @@ BLIND = ", and no low battery stops the robot meanwhile"
 
 
 class OddReports:
-    """Remembers which kinds of values were noted already, because an impossible value may come with every report."""
+    """Makes one note for each kind of impossible value, because such a value may come with every report."""
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops

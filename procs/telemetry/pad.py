@@ -23,7 +23,7 @@ half of this before it can choose again."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
-"""If no frame has come for this long, no button counts as held. Normally about 20 frames come per second."""
+"""How long after the last frame a button can count as held. Normally about 20 frames come per second."""
 HOLD_ENDS = 3
 """A hold of MODE ends when this many frames in a row show that MODE is not pressed. Fewer frames may only have been
 received wrongly."""

@@ -25,8 +25,8 @@ class ReadBack:
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report. Returns True if it was judged, or if it makes the previous verdict invalid. A NaN makes a
-        report unknown, because it shows neither motion nor rest."""
+        """Add a report. Returns True if it was judged, or if it makes the previous verdict invalid. A report with a NaN
+        is not judged, because it shows neither motion nor rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0

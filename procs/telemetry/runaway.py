@@ -50,12 +50,12 @@ SELDOM_NS = 1_000_000_000
 
 
 class Margins(Data):
-    """By how much a wheel's speed may differ from the commanded one."""
+    """How much a wheel's speed may differ from the commanded one."""
 
     share: float
-    """A share of the commanded speed, by which the wheel may be faster."""
+    """How much faster than commanded the wheel may turn, as a share of the commanded speed."""
     rim_mps: float
-    """A speed at the wheel's rim, by which the wheel may also differ, in either direction."""
+    """How much the speed at the wheel's rim may also differ in either direction, m/s."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)

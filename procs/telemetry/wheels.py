@@ -24,7 +24,8 @@ SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
 _NOT_REPORTED = (nan,) * MOST_WHEELS
 
 LEAST_COUNTS = 2.5
-"""If a position changes by fewer counts than this, it is the jitter of an encoder at rest."""
+"""The smallest change of a position that counts as movement, in counts. A smaller change is the jitter of an encoder at
+rest."""
 FASTEST_RPS = 50.0
 """The highest speed that is believed, in turns per second (12 m/s for a wheel of 8 cm). It is higher if the settings
 allow high speeds."""

@@ -54,12 +54,12 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """The sessions that still send goals although a stop or an enable has ended their stream. The value is the time
-        of the session's last goal."""
+        """The sessions that still send goals although a stop or an enable has ended their stream, each with the time of
+        its last goal."""
         self._torque_ns = 0
         """The time when the servos' bus is free again after the last torque command."""
         self.due_ns = now_ns
-        """When step() must be called next, even if nothing happens until then. Each call sets a later time."""
+        """The time when step() must be called next, even if nothing happens before. Each call sets a later time."""
         self._left: dict[Joint, float] = {}
         """The last goal of each servo that goes on to its goal even after a stop (ServoBus.holds_by_goal). It is kept
         until the servo is known to have arrived."""

@@ -72,7 +72,8 @@ class Trajectory:
         self.since_ns = 0
         self.begun_ns = 0
         self.done = self.dropped = False
-        """`done`: the trajectory is over. `dropped`: it is over because the arm was taken from its client."""
+        """`done`: True if the trajectory is over. `dropped`: True if it is over because the arm was taken from its
+        client."""
         self.outcome = ""
         self.stopped_for: Cause | None = None
         """The cause of the latched stop that has ended the trajectory, or None if it ended otherwise."""

@@ -71,7 +71,7 @@ class Arm:
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
-        """The automatic trajectory to the tuck pose, until its end was handled."""
+        """The automatic trajectory to the tuck pose, or None. It is kept until its end was handled."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._joint_notes: dict[str, str] = {}
         """The last note about each joint."""
@@ -144,7 +144,7 @@ class Arm:
         return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
     def _hear_pad(self, closed: str, now_ns: int) -> Cause | None:
-        """Handle the gamepad in its joint mode like any other program that sends goals. When its stick is let go, the
+        """Handle the gamepad in its joint mode, like any other program that sends goals. When its stick is let go, the
         joint stops."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
@@ -274,8 +274,8 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck the arm if nobody has used it for a while. While the arm follows a goal, or accepts no goals, the time
-        does not run."""
+        """Tuck the arm if nobody has used it for a while. This time does not run while the arm follows a goal, or
+        accepts no goals."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
