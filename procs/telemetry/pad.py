@@ -25,8 +25,8 @@ FULL_AXIS = 127
 SILENCE_NS = 500_000_000
 """How long after the last frame a button can count as held. Normally about 20 frames come per second."""
 HOLD_ENDS = 3
-"""A hold of MODE ends when this many frames in a row show that MODE is not pressed. Fewer frames may only have been
-received wrongly."""
+"""A hold of MODE ends when this many frames in a row show that MODE is not pressed. Fewer such frames may just be
+transmission errors."""
 RAW_FRAMES = 6
 """How many raw frames are kept for the log. They show what the gamepad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)

@@ -32,8 +32,8 @@ BEYOND_NS = 200_000_000
 this long and in at least LEAST_REPORTS reports."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
-"""How long the commands count as known after the last call of follow(). Later, nobody can say what the wheels should
-do."""
+"""How long the commands count as known after the last call of follow(). After that, nobody can say what the wheels
+should do."""
 SLOWS = 0.92
 """A wheel that has been too fast for some time is slowing down if its speed in the second half of that time is below
 this share of its speed in the first half. It then only rolls out, and has not run away."""
@@ -76,7 +76,7 @@ class Limits(Data):
     counts: float
     """Counts per turn of a wheel, or 0 if the board reports speeds."""
     braking_rps2: float
-    """The least rate at which a wheel slows down, in turns per second squared."""
+    """How fast a wheel slows down at least, in turns per second squared."""
     told_rps: float
     """A wheel may stand still if its commanded speed is below this, turns per second."""
 

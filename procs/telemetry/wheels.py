@@ -213,7 +213,7 @@ class WheelFact:
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """The time when the wheels last began to turn or to be still, whichever they do now. 0 if that is not known."""
+        """The time since which the wheels have been still, or have been turning. 0 if neither is known."""
         self.read_ns = 0
         """The time when the newest reading was made, or 0 if there is none."""
         self.unexpected = False
