@@ -1,5 +1,4 @@
-"""Arm: moves the robot's arm from Python. Angles are in rad. The joints have the names that the settings give them
-([joints.NAME])."""
+"""Arm: moves the robot's arm from Python. Angles are in rad. Joints are named as in the settings ([joints.NAME])."""
 
 from __future__ import annotations
 
@@ -21,8 +20,8 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """The robot's arm, which you get as `robot.arm`. It moves only while motion is disabled and no stop is latched. If
-    two programs set goals for the arm at the same time, a stop is latched."""
+    """Moves the robot's arm. Get it as `robot.arm`. The arm moves only while motion is disabled and no stop is latched.
+    If two programs set goals for the arm at the same time, a stop is latched."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError if the robot's settings name no joints."""
@@ -31,8 +30,8 @@ class Arm:
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """The joints by name. Each has its range (range_rad). Each access reads them from the running service, because
-        a restart may have brought other settings. Raises NoService, FailstopError."""
+        """The joints by name, each with its range (range_rad). They are read again at each access, because a restart of
+        the service may change them. Raises NoService, FailstopError."""
         with self._session._lock:
             found = self._session._current().joints
         if not found:
@@ -109,8 +108,8 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is just moving
-        the arm to its drive pose, that call fails, and motion stays disabled."""
+        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is moving the arm
+        to its drive pose, that call fails, and motion stays disabled."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
@@ -125,7 +124,7 @@ class Arm:
 
     @property
     def state(self) -> ArmState:
-        """What the service knows about the arm (State.arm)."""
+        """The state of the arm (State.arm). Raises FailstopError if the service reports no arm."""
         found = self._session.state.arm
         if found is None:
             raise FailstopError(f"the service {self._session.name!r} reports no arm: see `failstop status`")
@@ -136,8 +135,8 @@ class Arm:
         Raises Refused if the arm would hit something.
 
         The client does this check, not the gate, because the check takes many milliseconds and the gate must always be
-        ready to stop the wheels. A move consists of many small steps. The gate checks only the end of each step before
-        it sends that step.
+        ready to stop the wheels. The gate checks only the end of each small step of the move, before it sends that
+        step.
         """
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):

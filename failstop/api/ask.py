@@ -22,18 +22,17 @@ LATCH_S = 1.0
 """How long to wait until the service has latched the stop, in seconds. Normally the service needs only a few
 milliseconds."""
 HEAR_S = 0.3
-"""If a stop is latched but the board has not answered, wait this long for the answer, in seconds, before reporting the
-stop."""
+"""How long to wait for the board's answer to a latched stop before reporting that stop, in seconds."""
 LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Ask a service to stop the robot, and wait until it has latched the stop, but not longer than LATCH_S. stop()
-    raises no error; if something fails, it returns a text about the problem.
+    """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Raises no error: a problem
+    is returned as text.
 
-    Returns (result, problem, doubt). `result` is a text about the stop; it is empty if nothing shows that a stop was
-    written. `problem` is a text about what is wrong; it may be empty. `doubt` is True if a stop is latched but the
-    wheels may still turn.
+    Returns (result, problem, doubt). `result` describes the stop, and is empty if nothing shows that a stop was
+    written. `problem` says what is wrong, if anything is. `doubt` is True if a stop is latched but the wheels may still
+    turn.
     """
     try:
         send_stop(name, reason, who)
@@ -52,8 +51,8 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
     The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
-    The pipe may never become empty if other programs keep writing requests to it. So a rise of the epoch since the
-    beginning of this call also shows that a stop was written.
+    If other programs keep writing requests, the pipe may never be empty. So a higher epoch than at the beginning of
+    this call also shows that a stop was written.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
@@ -85,7 +84,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def _why(cause: Cause | None) -> str:
-    """The cause as a text. If this program itself has asked for the stop, the text leaves its name out."""
+    """The cause as text. If this program has asked for the stop, its name is left out."""
     own = cause and cause.named().get("pid") == os.getpid()
     return unsigned(cause) if cause and own else str(cause)
 

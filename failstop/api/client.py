@@ -30,14 +30,13 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""If a program repeats the same command within this time (ns), the gate is not woken for the repetition. The gate still
-reads the repetition at its next tick, and the command does not expire before then. This saves the 0.2 to 0.4 ms of
-processor time that a wake-up costs."""
+"""A command that repeats the previous one within this time, in ns, does not wake the gate. The gate reads it at its
+next tick, before the previous command expires. This saves the 0.2 to 0.4 ms of processor time that a wake-up costs."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""How long to wait for an object's own text if the object is given as the reason for a stop, in seconds. If the text
-takes longer, it is not sent."""
+"""How long the object given as the reason for a stop may take to make its own text, in seconds. A later text is not
+sent."""
 
 
 def runtime_dir(name: str) -> str:
@@ -46,7 +45,7 @@ def runtime_dir(name: str) -> str:
 
 
 def run(name: str) -> tuple[str, int]:
-    """The name that all segments of the running service share, and the uid of their owner. Raises NoService,
+    """Return the name that all segments of the running service share, and the uid of their owner. Raises NoService,
     FailstopError."""
     incarnation, owner = _there(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
@@ -78,9 +77,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
     waits for the service. Raises NoService, FailstopError.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`. It can't check who asked, because a pipe does not
-    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with a `__str__`
-    of the program, the object's text follows in a second request. The text is dropped if `__str__` takes longer than
-    OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED. People then see the remedy for that cause.
+    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with its own
+    `__str__`, the object's text follows in a second request. It is dropped if `__str__` takes longer than OWN_WORDS_S.
+    `row`: the name of a cause in causes.SIGNED. People then see the remedy for that cause.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -97,9 +96,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send the text of the object that was given as a reason, in a second stop request. Wait at most OWN_WORDS_S until
-    it is sent. Another thread makes the text, because the object's code may never return. `fd`: a descriptor of the
-    stop pipe, which is closed at the end."""
+    """Send the own text of the object `why` in a second stop request, and wait for that at most OWN_WORDS_S. Another
+    thread makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is
+    closed at the end."""
     # Imported only here, because most reasons don't need it.
     from threading import Thread
 
@@ -113,10 +112,9 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Make the text of the object that was given as a reason, and send it after the service has read the stop request.
-    It must not be sent earlier, because the service could then read both requests together, and it reports only the
-    first of the requests that it reads together. A text that is ready too late is dropped, because it would stop the
-    robot again after a reset."""
+    """Make the own text of the object `why`, and send it after the service has read the first request. If both requests
+    were in the pipe, the service would read them together, and report only the first one. A text that is ready after
+    `until_s` is dropped, because it would stop the robot again after a reset."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -131,11 +129,11 @@ def gone(name: str) -> NoService:
 
 
 class SeenRun:
-    """The run of the service at the time when this object is made. The object shows whether that run has ended, and
-    what its settings declare. Not thread-safe.
+    """Shows whether one run of the service has ended, and what its settings declare. It is the run at the time when
+    this object is made. Not thread-safe.
 
-    Clients find a run only after the supervisor has written everything that is read here (supervisor/entry.py). So the
-    values in this object do not change while the run lasts.
+    The values in this object do not change during the run, because the supervisor writes all of them before clients can
+    find the run (supervisor/entry.py).
     """
 
     def __init__(self, name: str) -> None:
@@ -148,8 +146,8 @@ class SeenRun:
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.run_record("rules")
-        """When the run began (CLOCK_MONOTONIC, ns). It is the time at which the supervisor wrote the record with the
-        rules, because it writes that record only once, at the beginning."""
+        """When the run began (CLOCK_MONOTONIC, ns). This is the time of the record `rules`, which the supervisor writes
+        only once, at the beginning."""
 
     def __del__(self) -> None:
         if self._life >= 0:
@@ -169,8 +167,8 @@ class SeenRun:
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True if this run of the service has ended. A run ends when its supervisor dies. This check is cheap, because
-        it needs only one system call, so every call to the service can make it."""
+        """True if this run of the service has ended. A run ends when its supervisor dies. The check takes only one
+        system call, so every call to the service makes it."""
         try:
             return not segments.lives(self._life)
         except OSError:  # the program has closed this descriptor; a new SeenRun opens another
@@ -193,13 +191,12 @@ class SeenRun:
 
 
 class Client:
-    """A client slot that this program holds in the service. It is given back by close(), when this object is freed, or
-    when the process ends."""
+    """Holds one of the service's client slots until close(), until this object is freed, or until the process ends."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
-        """Take a client slot. `who`: the name that people see. `pid`: the pid that people see. By default it is the pid
-        of this process. Pass the pid of a different program if this process drives on behalf of that program. Raises
-        NoService, and FailstopError (no permission, another version, or all slots taken)."""
+        """Take a client slot. `who` and `pid`: the name and the pid that people see. If this process drives on behalf
+        of another program, pass that program's pid. By default it is the pid of this process. Raises NoService, and
+        FailstopError (no permission, another version, or all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
@@ -280,7 +277,7 @@ class Client:
             raise gone(self.name) from None
 
     def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write a record of records.OF_SESSION, and return its bytes. `t_ns`: the time at which the values were true
+        """Write a record of records.OF_SESSION, and return its bytes. `t_ns`: when the values were true
         (CLOCK_MONOTONIC), by default now. The gate reads the record at its next tick, or with `wake` at once. Raises
         NoService, ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
@@ -293,9 +290,8 @@ class Client:
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
         """Send a velocity command to the gate, and return at once. `t_ns`: when the command was made (CLOCK_MONOTONIC),
-        by default now. If the command only repeats the previous command, the gate is not woken, because it is early
-        enough if the gate reads the repetition at its next tick. Raises NoService, and ValueError for a source whose
-        name is too long."""
+        by default now. A command that repeats the previous one does not wake the gate (REPEAT_NS). Raises NoService,
+        and ValueError for a source whose name is too long."""
         command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
@@ -309,10 +305,9 @@ class Client:
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """The answer to the request with this number. None until the answer comes. From then on, the service's state
+        """Return the answer to the request with this number, or None until it comes. From then on, the service's state
         shows what the request has changed. The service keeps only its newest answer to this client. So if it has
-        already answered a later request of another thread, the answer to this request is lost, and a refusal is
-        returned instead."""
+        already answered a later request, this returns a refusal instead."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -322,8 +317,7 @@ class Client:
 
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back, so that the last command of this client no longer counts. `in_order`: True if the client
-        ends normally. It then says goodbye. Without a goodbye, the gate would treat the end of the client as a
-        crash."""
+        ends normally, so it says goodbye. Without a goodbye, the gate treats the end of the client as a crash."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))

@@ -13,25 +13,25 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""How long it takes from the death of a process until the board gets the stop, in seconds. On a quiet machine it takes
-about 1 ms. On the shared machine of docs/reference/faults.md, the p99 of every measurement is shorter than DEATH_S.
-DEATH_S is for Hiwonder's board. For any other board, OWN_LINE_S is added."""
+"""The time from the death of a process until the board gets the stop, in seconds. It is about 1 ms on a quiet machine.
+On the shared machine of docs/reference/faults.md, the p99 of every measurement is shorter than DEATH_S. This is for
+Hiwonder's board. For every other board, OWN_LINE_S is added."""
 SLACK_S = 0.015
-"""If a process is silent for longer than its deadline, how long it takes from the deadline to the stop, in seconds. The
-value comes from the same measurements as DEATH_S."""
+"""The time from the deadline of a silent process until the stop, in seconds. The value comes from the same measurements
+as DEATH_S."""
 SILENCE_S = 0.02
-"""How long it takes from the end of a timeout until the board gets a speed of zero, in seconds, whatever kind of board
-it is. The gate acts when the timeout ends. For an interlock it acts one period later."""
+"""The time from the end of a timeout until the board gets a speed of zero, in seconds, for every kind of board. The
+gate acts when the timeout ends, but for an interlock it acts one period later."""
 OWN_LINE_S = 0.012
-"""How much later any other board gets a stop than Hiwonder's board, in seconds. The other board's serial line or its
-loop may be slower, or the stop may have to be repeated for that board. A USB adapter that removes the gaps between
-frames adds 0.02 (docs/boards.md)."""
+"""How much later than Hiwonder's board every other board gets a stop, in seconds. Its serial line or its loop may be
+slower, or the stop may have to be repeated. A USB adapter that removes the gaps between frames adds 0.02
+(docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
-"""Every screen shows the longest stopping distance with this text."""
+"""The text with which every screen shows the longest stopping distance."""
 Reaction = tuple[float, str]
-"""One fault that failstop can detect, as a pair. The first value is the reaction time in s: the wheels are still
-commanded to turn for this long after the fault. The second value is the fault in words."""
+"""A fault that failstop can detect: for how many seconds the wheels are still commanded to turn after the fault, and
+the fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:

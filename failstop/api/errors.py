@@ -1,5 +1,5 @@
-"""The errors that failstop's calls raise. Each class of error has an exit code. If a failstop command fails with an
-error, it ends with the exit code of that error's class."""
+"""The errors that failstop's calls raise. A failstop command that fails with one of these errors ends with the exit
+code of the error's class."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ class Refused(FailstopError):
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """The cause of a stop, if that stop is the reason why the request was refused. None if the reason is not a
-        stop."""
+        """The cause of the stop for which the request was refused. None if it was refused for another reason."""
         self.step = step
         """The next step, with commands in backquotes. Empty if no step is known."""
 

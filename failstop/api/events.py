@@ -38,12 +38,12 @@ class Event:
     level: str
     """How important the event is: info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal. It is cut at 280 bytes. If `fields` is long, so that the event
-    would not fit into its entry, the text is cut at 200 or 120 bytes."""
+    """One line for people, the same as in the journal. It is cut at 280 bytes, or at 200 or 120 bytes if the event
+    would not fit into its entry because `fields` is long."""
     fields: dict[str, str | int | float]
     """The event's values for programs. Each kind of event has different values (docs/logs.md)."""
     next: str = ""
-    """The next step for people. `text` ends with this step too. Empty if the event asks for no step."""
+    """The next step for people, which is also the end of `text`. Empty if the event asks for no step."""
 
     @property
     def what(self) -> str:
@@ -61,8 +61,9 @@ class EventLog:
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:
-        """The events since the last call; empty if there are none. The first call returns all events that the service
-        still has (the last 256). Raises NoService when the service has ended and all its events have been read."""
+        """Return the events since the last call. With `past`, the first call also returns the earlier events that the
+        service still has (the last 256). Raises NoService when this run of the service has ended and all its events
+        have been read."""
         over = self._run.over()  # checked before reading, because the last events must still be returned
         found = []
         while entry := self._ring.next():
@@ -74,8 +75,8 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Yield every event as it happens, beginning with the events that the service still has. Raises NoService when
-        the service has ended."""
+        """Yield every event as it happens. With `past`, begin with the earlier events that the service still has.
+        Raises NoService when this run of the service has ended."""
         while True:
             found = self.read()
             yield from found

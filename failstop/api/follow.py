@@ -27,8 +27,7 @@ class Follower:
 
         self.name = name
         self.note = ""
-        """The reason why read() could not find a state the last time that it failed. Empty until read() fails for the
-        first time."""
+        """Why read() failed the last time. Empty if it has not failed yet."""
         self.events: list[Event] = []
         """The newest events of the service's present run, at most 256, the oldest first."""
         self._robot = Robot(name)

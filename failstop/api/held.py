@@ -19,13 +19,12 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex that an extra thread holds. It is held by an extra thread so that any thread of the program can have it
-    released, with let_go(). The extra thread ends when this object is freed, even if a signal handler raises an
-    exception while the object is being freed. So no thread is left behind."""
+    """Holds a futex in an extra thread, so that any thread of the program can release it with let_go(). The extra
+    thread ends when this object is freed, even if a signal handler raises an exception at that moment."""
 
     def __init__(self, word: Futex) -> None:
-        """Starts the extra thread, and returns when that thread holds the futex. Raises RuntimeError if no thread can
-        be started, and OSError if no descriptor is left."""
+        """Start the extra thread, and wait until it holds the futex. Raises RuntimeError if no thread can be started,
+        and OSError if no descriptor is left."""
         self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
@@ -46,8 +45,7 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the extra thread, which releases the futex. Before this call, the caller must clear the word of the
-        futex."""
+        """End the extra thread, which releases the futex. Clear the word of the futex before this call."""
         self._ends.put(None)
 
 

@@ -1,5 +1,5 @@
-"""Host: the commands that start or stop a service on this computer. If it is known how the service was started the last
-time, it is started in that way again. If not, systemd starts it, provided that the unit is installed."""
+"""Host: the commands that start or stop a service on this computer. A service is started in the same way as the last
+time. If that is not known, systemd starts it, if the unit is installed."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """The command that starts the service, as text in backquotes. If it is known how the service was started the last
-    time, the command starts it in that way again."""
+    """Return the command that starts the service, in backquotes. If it is known how the service was started the last
+    time, the command does the same again."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
-    """The command, as text in backquotes, with which a person can stop the board when no service is running."""
+    """Return the command that stops the board when no service is running, in backquotes."""
     import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:
-    """The command, as text in backquotes, that shows the service's events in the journal. Empty if the journal does not
-    have these events."""
+    """Return the command that shows the service's events in the journal, in backquotes. Empty if the service has no
+    systemd unit, because then the journal does not have the events."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

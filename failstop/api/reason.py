@@ -14,15 +14,14 @@ if TYPE_CHECKING:
     from typing import Any
 
 LOOKED_AT = 1000
-"""Only this many characters of a text are used. Few characters are enough, because a stop request has room for even
-fewer."""
+"""The most characters of a text that are used. A stop request has room for even fewer."""
 LONGEST_BITS = 64
 """The longest integer that is shown, in bits. Python refuses to convert an integer with thousands of digits."""
 
 
 def plain(reason: object) -> tuple[str, bool]:
-    """Return a pair: the text of an object, as far as it can be made without calling the program's code, and True if
-    that is already the whole text. Never raises."""
+    """Return (text, whole): the text of an object, as far as it can be made without calling the program's code, and
+    True if that is the whole text. Never raises."""
     try:
         return _of_exception(reason) if issubclass(type(reason), BaseException) else _of_object(reason)
     except Exception:  # even the class's name can be code, if it has a metaclass
@@ -40,9 +39,8 @@ def own(reason: object) -> str:
 
 
 def _of_exception(reason: object) -> tuple[str, bool]:
-    """Return a pair: the class and the arguments of an exception as text, and True if that is already the whole text.
-    The pair has False if the exception has a `__str__` of its own or an object as an argument, because the text of
-    either is still missing."""
+    """Return (text, whole) as plain() does, from the class and the arguments of an exception. `whole` is False if the
+    exception has its own `__str__` or an object as an argument, because that text is still missing."""
     kind = type(reason)
     arguments = BaseException.args.__get__(reason)  # type: ignore[attr-defined]  # whatever the class calls `args`
     told = [words for each in arguments if (words := _builtin(each)) is not None]

@@ -74,9 +74,8 @@ Answer = Driving | Preempted | Blocked
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """Return a pair: the answer to a command, and True if that answer is final. `decided`: the gate's last decision.
-    The gate may have made that decision before it saw the newest command. If the newest command could change the
-    answer, the answer is not final. Pure."""
+    """Return (answer, final) for a command. `decided` is the gate's last decision, which the gate may have made before
+    it saw the command. `final` is False if the command could still change the answer. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -115,8 +114,7 @@ class Calls(Session):
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """Return what judge() returns: the answer to the command of this source, and True if that answer is final. It
-        comes from the gate's last decision."""
+        """Return (answer, final) for the command of this source, as judge() does, from the gate's last decision."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
@@ -131,11 +129,11 @@ class Calls(Session):
     def assert_interlocks(self, *interlocks: str) -> None:
         """Report that these interlocks hold at this moment. Call this again before the timeout of any of them ends.
         Each name must be in the settings, as [interlocks.NAME]. Motion can be enabled only while all interlocks in the
-        settings hold. If an interlock no longer holds, motion is disabled. Name every interlock that your program
-        reports in every call. If a call leaves out an interlock, that interlock counts as lost after its timeout.
+        settings hold. If an interlock no longer holds, motion is disabled. Every call must name all interlocks that
+        your program reports. An interlock that a call leaves out counts as lost after its timeout.
 
-        Raises Undeclared if one of these interlocks is not in the settings. In that case, none of the interlocks is
-        reported. Raises NoService when no service is running.
+        Raises Undeclared if one of these interlocks is not in the settings, and then reports none of them. Raises
+        NoService when no service is running.
         """
         with self._lock:
             run = self._current()
@@ -148,10 +146,10 @@ class Calls(Session):
         """Report that an operator is present. Repeat this about every 0.1 s. If the setting attend.required is "on",
         the robot moves only while an operator is present. `who` is the operator's name.
 
-        The operator counts as present now, or at `proven_ns` (CLOCK_MONOTONIC, ns). For example, if the operator
-        answers a question of your program, pass the time at which it was asked. An operator who was not reported for
-        attend.lease_s (1 s) counts as gone. When the last operator is gone, a stop is latched. An operator is also gone
-        after leave() and when your program ends. A Robot reports only one operator at a time, so if you pass a new
+        `proven_ns` is when the operator was certainly present (CLOCK_MONOTONIC, ns), by default now. For example, if
+        the operator answers a question of your program, pass the time of the question. An operator who was not reported
+        for attend.lease_s (1 s) counts as gone. When the last operator is gone, a stop is latched. An operator is also
+        gone after leave() and when your program ends. A Robot reports only one operator at a time, so if you pass a new
         name, the previous operator counts as gone. Raises NoService.
         """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
@@ -177,10 +175,9 @@ class Calls(Session):
         13850. Motion stays off until reset() and enable(). Calling estop() needs no permission. It works with a service
         of any version, and even on a closed Robot. Raises NoService if no service is running.
 
-        People see `stop request: REASON (says it is CLIENT, pid N)`. This text only repeats the name that the program
-        claims to have, because anyone may ask for a stop under any name. A reason longer than 180 bytes is cut. The
-        reason may be any object, such as an exception. The stop never waits for the `__str__` of such an object. The
-        object's text comes later, in the events.
+        People see `stop request: REASON (says it is CLIENT, pid N)`. The name is only a claim, because anyone may ask
+        for a stop under any name. A reason longer than 180 bytes is cut. The reason may be any object, such as an
+        exception. The stop never waits for the object's `__str__`, so its text comes later, in the events.
         """
         send_stop(self.name, reason, self.client_name)
 
@@ -291,8 +288,8 @@ class Robot(Calls):
     of its own.
 
     Several threads may use one Robot. For the service it is one client, so the newest drive() counts, whichever thread
-    has called it. A Robot that holds a slot starts a thread that only sleeps. The gate notices the end of that thread
-    at once when the program dies, however long the kernel takes to free the program's memory.
+    has called it. A Robot that holds a slot has an extra thread, which only sleeps. When the program dies, the gate
+    notices the end of this thread at once, however long the kernel takes to free the program's memory.
     """
 
     connect = AsyncRobot
@@ -322,10 +319,9 @@ class Robot(Calls):
         clamped. After a restart of the service nothing moves until you enable motion again.
 
         Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
-        returns at once while this source drives, so Driving may still be about your previous command. It also returns
-        at once while a stop is latched or motion is disabled. In every other case, drive() waits because this command
-        may change the answer. It waits until the gate lets this source drive (0.3 ms on an idle machine), but at most
-        for `wait_s`. If `wait_s` is very short, the answer may still be about your previous command.
+        returns at once while this source drives, a stop is latched, or motion is disabled. Otherwise it waits for the
+        gate to let this source drive (0.3 ms on an idle machine), but at most `wait_s`. If this source was already
+        driving, or if `wait_s` is very short, the answer may still be about your previous command.
 
         If you pass on commands that may be delayed, for example by a network, pass `proven_ns` (CLOCK_MONOTONIC, ns)
         too. It is the latest moment for which you know that the command was wanted. The timeout of the command counts
@@ -399,7 +395,8 @@ class Robot(Calls):
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
         """Wait for a state, and return it. `what` is a word such as "enabled" (docs/python.md lists them), or a
         function that returns True for the wanted State. wait_for() keeps waiting even while no service is running.
-        Raises TimedOut, which says what the state is and what to do, and ValueError for an unknown word."""
+        Raises ValueError for an unknown word. After `timeout_s` it raises TimedOut, which says what the state is and
+        what to do, or NoService if no service is running."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
@@ -410,8 +407,8 @@ class Robot(Calls):
 
 
 async def _through(steps: Steps[T]) -> T:
-    """Run a call that is a generator of steps, and return its result. While session.sleep_through() blocks the thread
-    between two steps, this function lets the event loop go on."""
+    """Run a generator of steps, and return its result. Unlike session.sleep_through(), it does not block the event loop
+    between two steps."""
     import asyncio  # imported only here, because it takes as long to import as everything else in this module
 
     try:

@@ -1,7 +1,7 @@
 """Session: a program's connection to one service, with the client slot and the requests.
 
-A call that takes time is written as a generator. It yields each time when it has to wait. Robot then lets the whole
-thread sleep, but AsyncRobot lets only the task sleep.
+A call that takes time is a generator that yields whenever it must wait. Then the whole thread sleeps in Robot, but only
+the task in AsyncRobot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""A call that takes time, as a generator. Each time when it has to wait, it yields for how many seconds."""
+"""A call that takes time, as a generator. Whenever it must wait, it yields the number of seconds."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """The words that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched),
@@ -78,8 +78,7 @@ DISABLE_FIRST = "`failstop disable`, or robot.disable(), because the arm moves o
 
 
 def own_name() -> str:
-    """The name of this program, which is its file's name. If Python reads the program from standard input or from `-c`,
-    the name is python."""
+    """Return the file name of this program, or `python` if Python reads it from standard input or from `-c`."""
     name = os.path.basename("".join(sys.argv[:1]))
     return name if name not in ("", "-", "-c") else "python"
 
@@ -100,9 +99,9 @@ class Session:
         disable motion when this Robot is closed or its `with` block ends, but only if this Robot has enabled motion.
         With False, motion stays enabled for other programs.
 
-        Raises NoService when no service is running, FailstopError for an invalid name. Any other error, for example
-        that the service has a different version, is raised only later, by the calls that drive or read the state. So
-        you can always make a Robot and call estop().
+        Raises NoService when no service is running, FailstopError for an invalid name. Other errors, such as a
+        different version of the service, are raised only by the calls that drive or read the state, so that estop()
+        works anyway.
         """
         self.name = name
         self.client_name = client or own_name()
@@ -113,9 +112,8 @@ class Session:
         self._enabled = False
         """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """Which thread or task waits for the gate's answer to a request, as a pair. First comes the thread's id. Then
-        comes an object for the task if a task of an event loop waits, or None if the whole thread waits. There is no
-        pair if nobody waits."""
+        """Who waits for the gate's answer to a request: the thread's id, and an object for the task if only a task of
+        an event loop waits. None if nobody waits."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -140,8 +138,8 @@ class Session:
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
         """True if this Robot must disable motion when it ends, because it has enabled motion. If this program was
-        driving and now dies of an exception, the Robot need not disable motion, because the gate normally does that and
-        reports which driver has died. Raises FailstopError."""
+        driving and now dies of an exception, the gate normally disables motion and reports which driver has died.
+        Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -188,8 +186,8 @@ class Session:
         return self._slot(self._current())
 
     def _forked(self) -> None:
-        """Called in the child after a fork. The client slot belongs to the parent, and the lock may be held by a thread
-        that does not exist in the child, so this drops both."""
+        """Drop the client slot and the lock in the child after a fork. The slot belongs to the parent, and a thread
+        that does not exist in the child may hold the lock."""
         self._lock = threading.RLock()
         self._pending = None
         self._enabled = False
@@ -220,9 +218,9 @@ class Session:
     ) -> Steps[str]:
         """Send one request to the gate, and wait for the answer.
 
-        The gate keeps only the newest request of each client. So if several threads or tasks make requests, these are
-        sent one after the other. A request that takes long, such as a move of the arm, lets other requests pass, so
-        that one of them can end it.
+        The gate keeps only the newest request of each client, so the requests of several threads or tasks are sent one
+        after the other. A long request, such as a move of the arm, lets other requests pass, because one of them may
+        end it.
 
         `progress` is called with each text about the progress. `about`: the name of a record that must be written
         before the request, and then the values of that record. `asked_ns`: when the request was made, by default now.
@@ -262,8 +260,8 @@ class Session:
             self._pass(turn)
 
     def _unanswered(self) -> NoAnswer:
-        """The error if the gate did not answer a request in time. If the gate is down, the message says so, and says
-        when the gate will start again."""
+        """Make the error for a request that the gate did not answer in time. If the gate is down, the message says when
+        it will start again."""
         why = ""
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
@@ -271,8 +269,7 @@ class Session:
         return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error if the gate refused a request, with the next step. If a latched stop is the reason for the refusal,
-        the next step is what people must do before motion can be enabled."""
+        """Make the error for a request that the gate refused, with the next step for people."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
@@ -283,10 +280,10 @@ class Session:
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """Send a request. Returns the client, the run and the request's number. Returns None if this request must wait,
-        because a different thread or task waits for an answer. A signal handler's request need not wait for the code
-        that the handler has interrupted, because that code can't go on. For the same reason, a request that blocks its
-        whole thread need not wait for the tasks in that thread."""
+        """Send a request, and return the client, the run and the request's number. Return None if a different thread or
+        task waits for an answer, so that this request must wait too. A signal handler's request need not wait for the
+        code that the handler has interrupted, because that code can't go on. For the same reason, a request that blocks
+        its whole thread need not wait for the tasks in that thread."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending
@@ -333,8 +330,7 @@ class Session:
 
 
 def sleep_through(steps: Steps[T]) -> T:
-    """Run a call that is a generator of steps, and sleep as long as each step asks for. Returns the result of the call,
-    and raises the errors that the call raises."""
+    """Run a generator of steps, sleep as long as each step asks for, and return the result."""
     try:
         while True:
             time.sleep(next(steps))

@@ -1,5 +1,4 @@
-"""Snapshot: the types of which the service's state consists. Times are in s, lengths in m, angles in rad, voltages in
-V."""
+"""Snapshot: the types that make up the service's state. Times are in s, lengths in m, angles in rad, voltages in V."""
 
 from __future__ import annotations
 
@@ -58,12 +57,12 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s. Positive is forward. For three omni wheels, positive turns the robot
-    counter-clockwise."""
+    """One value for each wheel: its speed in rad/s, or how far it has turned in rad. Positive is forward. For three
+    omni wheels, positive turns the robot counter-clockwise."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the wheels, in the order of the speeds. For four wheels they are front_left, rear_left,
+        """The names of the wheels, in the order of the values. For four wheels they are front_left, rear_left,
         front_right, rear_right; for three left, rear, right; for two left, right."""
         return tuple(name.replace(" ", "_") for name in WHEEL_NAMES[len(self)])
 
@@ -87,7 +86,7 @@ class Turning:
     """True if the wheels turn although they should have come to rest by now. They have the time still.after_s (a
     setting) to come to rest after zero was commanded."""
     since_s: float | None = None
-    """For how long the wheels have been turning or still, as `does` says, in s. None if not known."""
+    """How long `does` has had its present value, in s. None if not known."""
     age_s: float | None = None
     """The age of the newest reading, in s. None if there was no reading."""
     last: Literal["unknown", "still", "turning"] = "unknown"
@@ -107,7 +106,7 @@ OLD_S = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Ages:
-    """The ages of the newest readings, in s. An age is None if there was no such reading in this run."""
+    """The age of the newest reading of each kind, in s. None if there was no such reading in this run."""
 
     board_s: float | None = None
     """The time since the board last sent anything."""
@@ -127,20 +126,19 @@ class Scale:
     are commanded to turn."""
 
     capped: str = ""
-    """A text that says that speeds are capped, and how to end that. Speeds are capped until a person confirms
-    board.per_rps; after that, the text is empty."""
+    """Says that speeds are capped, and how to end that. Empty once a person has confirmed board.per_rps."""
     wheels: float | None = None
     """Measured wheel speed divided by commanded wheel speed. None if not known. It is known only if the board reports
-    wheel speeds in a different unit than the one for commands, because with the same unit, a wrong scale would be in
-    both speeds and not show."""
+    speeds in a different unit than it takes commands, because otherwise a wrong scale would be the same in both and not
+    show."""
     turn: float | None = None
     """The robot's turn rate as the gyro measures it, divided by the commanded turn rate. None if not known."""
     wrong: tuple[str, ...] = ()
-    """Texts about differences between measured and commanded speeds that are too large. Each text names the setting to
+    """Differences between measured and commanded speeds that are too large, in words, each with the setting to
     check."""
     remarks: tuple[str, ...] = ()
-    """Texts about smaller differences between measured and commanded speeds. A slope, a load, the battery or skidding
-    wheels can be the reason for such a difference."""
+    """Smaller differences between measured and commanded speeds, in words. The reason can be a slope, a load, the
+    battery or skidding wheels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,8 +209,8 @@ class Process:
     memory_locked: bool
     """True if its memory can't be swapped out."""
     early_news: bool = True
-    """True if the kernel reports the death of another process to this process early. Early means before the kernel
-    frees the memory of the dead process."""
+    """True if the kernel reports the death of another process to this process early, before it frees the memory of the
+    dead process."""
     killed: bool = False
     """True if the process that `last_exit` is about was killed by a signal."""
     starts_in_s: float | None = None
@@ -233,8 +231,8 @@ class Device:
     silent: it has stopped sending anything. unheard: it has not answered since it was plugged in again. unasked: this
     kind of board never answers."""
     watchdog_s: float = 0.0
-    """How long the board must get no frame before the board's own watchdog acts, in s. 0 if the board has no watchdog,
-    or if that time is not known."""
+    """How long after the last frame the board's own watchdog acts, in s. 0 if the board has no watchdog, or if that
+    time is not known."""
     watchdog_does: str = ""
     """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: the
     wheels stop, and the board accepts no motion until it is armed again. Empty if the board has no watchdog, or if it
@@ -242,8 +240,8 @@ class Device:
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """If the board does not obey: for how long it has been reporting that it obeys zero speed, while motion is
-    commanded, in s. None if the board has not reported this contradiction."""
+    """How long the board has been reporting that it obeys zero speed although motion is commanded, in s. None if it
+    does not report this."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -290,9 +288,8 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The machine was too busy to run a process of the service for some time. If motion is disabled, that stops
-    nothing; if motion is enabled, the robot is stopped. The values are about the longest such time. They are kept until
-    the machine has run every process in time for ten minutes."""
+    """The longest time for which the machine was too busy to run a process of the service. Such a time stops the robot
+    if motion is enabled. The values are kept until the machine has run every process in time for ten minutes."""
 
     longest_s: float
     """For how long the machine did not run the process, in s."""
@@ -305,8 +302,7 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """The gyro's bias. It is what the gyro shows while the robot is at rest. It is subtracted from every reading of the
-    gyro."""
+    """The gyro's bias, which is what the gyro shows at rest. It is subtracted from every reading."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
@@ -518,8 +514,8 @@ class State:
     starved_times: int = 0
     """How many times in this run the machine was too busy to run a process of the service (see `starved`)."""
     lease_s: float = 0.06
-    """If the gate or the supervisor is silent for longer than this while the wheels turn, the robot is stopped. In s,
-    from the setting gate.lease_s, whose default is longer without real-time rights."""
+    """How long the gate or the supervisor may be silent while the wheels turn before the robot is stopped, in s. This
+    is the setting gate.lease_s, whose default is longer without real-time rights."""
     steering_rad: float | None = None
     """The commanded angle of the steered wheels, rad, positive to the left. None if the robot has no steering or is at
     rest."""
@@ -531,8 +527,8 @@ class State:
     turning: Turning = Turning()
     """What is known about the wheels at present. It comes from observation, not from what was commanded."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. If motion is disabled and enabled again,
-    this time changes, so you notice it even if it happens between two snapshots."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. This time changes when motion is disabled
+    and enabled again, so you notice that even if it happens between two snapshots."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """For each servo, its load and its temperature in degrees C. The keys name the part that the servo turns, such as a
     wheel. The load is a signed share of the servo's largest load."""
@@ -567,8 +563,8 @@ class State:
 
     @property
     def driver(self) -> Source | None:
-        """The source that drives at present, which means that its commands count. They may command a velocity of zero.
-        None if no source drives."""
+        """The source that drives at present: its commands count, even if they command zero. None if no source
+        drives."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:

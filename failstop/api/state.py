@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""In a record, the name of a time ends with its unit, for example `written_ms`. For each unit, this table says how many
-of it are one second."""
+"""How many of each unit are one second. In a record, the name of a time ends with its unit, for example
+`written_ms`."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -46,7 +46,7 @@ STANDING: dict[str, Any] = {
 }
 """The values in the gate's record while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
-"""The values that are used until the gate has published its first record in this run. A run begins with motion
+"""The values of the gate's record until the gate has published its first one in this run. A run begins with motion
 disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
@@ -182,7 +182,7 @@ class StateReader(SeenRun):
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """The values that are used in place of the gate's record until the first gate of this run has published one."""
+        """NOTHING_YET, and no operator is present if the robot needs one."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
@@ -311,9 +311,8 @@ class StateReader(SeenRun):
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. A dead
-        supervisor no longer updates its table. The gate and telemetry die with it, and the other two processes end
-        soon."""
+        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died, so that nobody
+        updates its table. The gate and telemetry die with it, and the other two processes end soon."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():

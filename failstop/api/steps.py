@@ -29,13 +29,12 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""The kinds of steps that must come before a reset, and the kinds that must come before motion can be enabled. Until
-these steps are done, the service refuses the reset or the enable."""
+"""The kinds of steps that must be done before a reset or an enable, because the service refuses it until then."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"
-"""The end of the text of some steps. It helps with a program that never pauses. If such a program was already
-commanding a velocity when motion was enabled, it may not drive until it is ended and started again."""
+"""Ends the text of some steps, for a program that never pauses. If it was already commanding a velocity when motion was
+enabled, it can't drive until it is ended and started again."""
 LET_GO = "let go of the stick, then push it again"
 SENSOR = (
     "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
@@ -183,7 +182,8 @@ def line(state: State) -> str:
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
-    """The first step on the page; empty if there is none."""
+    """The first step on the page, or to use the power switch if a stop may not have reached the board. Empty if no step
+    is needed."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state, events) and not sure:

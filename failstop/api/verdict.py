@@ -34,14 +34,14 @@ NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """A text for each state of the connection to the board."""
 UNHEEDED_S = 0.5
-"""If the board reports zero speed for this long, in s, although motion is commanded, it does not obey. A shorter time
-proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
+"""How long the board must report zero speed while motion is commanded to show that it does not obey, in s. A shorter
+time proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
 STALE_S = 0.5
-"""A decision of the gate that is older than this, in s, says nothing about the wheels any more. The gate normally
-publishes every 80 ms."""
+"""The age after which a decision of the gate says nothing about the wheels any more, in s. The gate normally publishes
+every 80 ms."""
 LATE_BEAT_S = 0.3
-"""If the newest heartbeat of a process is older than this, in s, the screens highlight its age. Every process has a
-heartbeat at least every 100 ms."""
+"""The age after which the screens highlight the newest heartbeat of a process, in s. Every process has a heartbeat at
+least every 100 ms."""
 BATTERY_LOW_V = 10.5
 """Below this voltage the battery is almost empty. The value is for a battery of three lithium cells, 3.5 V for each
 cell."""
@@ -121,8 +121,8 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """If motion is commanded but the board reports zero speed, a text that says for how long. Empty if the board does
-    not report that, or has reported it for less than UNHEEDED_S."""
+    """How long the board has reported zero speed although motion is commanded, in words. Empty if it does not report
+    that, or has reported it for less than UNHEEDED_S."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
@@ -130,22 +130,22 @@ def unheeded(state: State) -> str:
 
 
 def word(state: State) -> str:
-    """One word about the wheels, such as STOPPED."""
+    """The word about the wheels, such as STOPPED or TOLD TO STOP."""
     found = row(state).word
     return STANDING if found == STOPPED and not state.blocked else found
 
 
 def proven_word(state: State) -> str:
-    """The word about the wheels, as word() returns it. If that word is not proven, the text adds that it is unproven,
-    and why."""
+    """The word about the wheels: COMMANDED if the board reports zero speed although motion is commanded, and otherwise
+    word(). If the word is unproven, the text says so, and why."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State, events: Sequence[Event] = ()) -> str:
-    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move, and about
-    a stop it says no more than is proved."""
+    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move. About a
+    stop it says no more than is proven."""
     found = row(state)
     if found.alarm:
         return found.large
@@ -155,9 +155,9 @@ def large_word(state: State, events: Sequence[Event] = ()) -> str:
 
 
 def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
-    """What is proved about the wheels. If they were stopped again after the last stop, without a latch, that stop's
-    proof says nothing about them, and only what is seen counts. Bytes that are still in the kernel prove nothing about
-    the board, and an IMU that felt nothing proves nothing about the wheels."""
+    """What is proven about stopped wheels, in a word. If they were stopped without a latch after the last latched stop,
+    its proofs say nothing about them, so only what is seen counts. Bytes that are still in the kernel prove nothing
+    about the board, and an IMU that felt nothing proves nothing about the wheels."""
     stop = state.last_stop
     if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen
@@ -190,8 +190,8 @@ def down(state: State) -> list[str]:
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """The end of a sentence about a process that does not work. It says why the process does not work, and when it will
-    start again. `ended`: a clause about how the previous process with the same name ended."""
+    """The end of a sentence about a process that does not work. It says why, and when the process will start again.
+    `ended`: a clause about how the previous process with the same name ended."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -232,8 +232,8 @@ def unlatched(state: State, events: Sequence[Event]) -> Event | None:
 
 
 def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
-    """The state, but wheels that were last seen still before they were stopped count as not seen. The IMU judges a
-    window of half a second, which must begin after that. `now_s`: Unix time."""
+    """Return the state, in which wheels that were seen still only before they were stopped count as not seen. The IMU
+    judges a window of half a second, which must begin after the stop. `now_s`: Unix time."""
     known, stop, event = state.turning, state.last_stop, unlatched(state, events)
     told_s = event.t if event else stop.t if stop else None
     if known.does != "still" or told_s is None:

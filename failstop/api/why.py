@@ -24,21 +24,20 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""A missing proof may still come for this many seconds after a stop. So long, the text says, for example, "NOT
-acknowledged by the board yet". Later it leaves out "yet"."""
+"""How long after a stop a missing proof may still come, in seconds. Until then, the text says, for example, "NOT
+acknowledged by the board yet". After that, it leaves out "yet"."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Why:
-    """The answer to "why are the wheels stopped?". str() of it has the three lines."""
+    """The answer to "why are the wheels stopped?". str() returns its three lines."""
 
     what: str
-    """Why the wheels are stopped, and since when. While the wheels move, this is a text about the program that
-    drives."""
+    """Why the wheels are stopped, and since when. If nothing stops them, which velocity is commanded, and by which
+    program."""
     proof: str
-    """The proof that the wheels are stopped. First it says when the stop that `what` is about was written, acknowledged
-    and observed. (Only latched stops have these times.) Then it says what is observed about the wheels at present, with
-    the age of the reading."""
+    """What proves that the wheels are stopped. First, how long it took until the stop was written, acknowledged and
+    observed. (Only latched stops have these times.) Then, what is observed at present, with the age of the reading."""
     do: tuple[str, ...]
     """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
     also: tuple[str, ...]
@@ -73,11 +72,10 @@ HOLDS = {
 }
 """Two texts for each block: one for a terminal, and a sentence for the web page."""
 SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
-"""For these blocks, the text that is used if it is known since when the wheels have been blocked. The word "since" and
-the time follow the text."""
+"""The text for a block if the time at which it began is known. The word "since" and that time follow the text."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""With these blocks, the wheels wait for a client, for example for a driving program. So the lines that clients report
-with say() may explain the block."""
+"""The blocks in which the wheels wait for a client, such as a driving program. The lines that clients report with say()
+may explain these blocks."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
@@ -170,9 +168,9 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """A text that proves that the wheels are stopped. If a latched stop is the reason why they are stopped, the text
-    gives the proofs of that stop. If not, the text says only what the board's answers prove, because the times of an
-    earlier stop prove nothing about the present."""
+    """What proves that the wheels are stopped, as text. If a stop is the reason why they are stopped, the text gives
+    the proofs of that stop. If not, it says only what the board's answers prove, because the times of an earlier stop
+    prove nothing about the present."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -197,9 +195,9 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
     """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that no proof is
-    possible, because the wheels were already still before the stop, because the robot has no IMU, or because this board
-    never acknowledges a stop. If the stop could not be written, the list has only one text, which says so. `link`: the
-    state of the connection to the board."""
+    possible, because the wheels were already still before the stop, because nothing observes them, or because this
+    board never acknowledges a stop. If the stop could not be written, the list has only one text, which says so.
+    `link`: the state of the connection to the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -226,8 +224,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Texts about faults other than the reason for the stop. These faults may also keep the wheels from moving. They
-    include what clients report as wrong. If the wheels wait for a client, they also include what the clients see."""
+    """Faults other than the reason for the stop, in words. They include what clients report as wrong, and also what
+    clients see while the wheels wait for a client."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

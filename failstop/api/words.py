@@ -20,7 +20,7 @@ somebody has set one of them."""
 GUARDED = "uses the guard port "
 """How the guard's report about a driver begins; the path of the port follows."""
 ON_PAGE = "(page)"
-"""The end of the name under which the operator's page commands and asks for somebody, before the pid."""
+"""The end of the name that the operator's page uses for a paired device. The pid follows it."""
 NOWHERE_MPS = 0.0005
 """A speed below this, in m/s or rad/s, is left out. With two decimals it would be shown as 0.00."""
 
@@ -79,13 +79,13 @@ def ago(unix_s: float, now_s: float) -> str:
 
 
 AGED_S = 3.0
-"""A reading that is at least this old, in s, is shown with its age. The age of a younger reading is left out, because
-it is normal that some boards report their battery only once per second."""
+"""The age from which a reading is shown with its age, in s. A younger reading is normal, because some boards report
+their battery only once per second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """The age of a reading as text to put after it, for example `, 12 s ago`. Empty if the reading is fresh. `current`:
-    True if the board still sends reports."""
+    """The age of a reading as text to put after it, for example `, 12 s ago`. Empty if the reading is fresh and the
+    board still sends reports (`current`)."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 
