@@ -38,8 +38,7 @@ ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
 LATCHED = "estop: "
-"""If a stop is latched, the gate's reason why nothing moves begins with this text. The cause of the latched stop
-follows."""
+"""Begins the gate's reason why nothing moves if a stop is latched. The cause of that stop follows."""
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
@@ -62,8 +61,7 @@ WIRE_HEAD = 39
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""The ways in which an arm can be moved. An entry with the empty text means that nobody has moved the arm since that
-entry."""
+"""The ways to move the arm. An entry with the empty text means that nobody has moved the arm since that entry."""
 
 SILENCES = 1
 OWN_BURST = 2

@@ -21,14 +21,13 @@ from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 12
 SUPERVISOR_BLOCK = 0
-"""The block of futexes (futex.py) that the supervisor holds. The supervisor's block is the first one. The blocks of the
-processes that the supervisor starts come after it."""
+"""The block of futexes (futex.py) that the supervisor holds. The processes that it starts hold the blocks after this
+one."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
-"""The longest note in bytes that the gate or telemetry sends (packing.py)."""
+"""The longest note that the gate or telemetry sends (packing.py), in bytes."""
 PINGS = 4
-"""How many different pings a kind of board can have at most. The pings must differ, so that an answer of the board
-shows which ping it belongs to."""
+"""The most pings that a kind of board can have. They must differ, so that an answer shows which ping it belongs to."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600

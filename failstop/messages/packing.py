@@ -15,7 +15,7 @@ Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
 NEXT_STEP = "; next: "
-"""In a text for people, the next step to take follows these words."""
+"""Comes before the next step in a text for people."""
 
 # Not msgpack.packb, which allocates 1 MB at every call. A process that is short of memory could die of that.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
@@ -23,8 +23,8 @@ pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""How many bytes of the text, and of each field, are kept in a note. Each pair has the limit for the text and the limit
-for each field. The second pair is used only if the note is too long with the first pair."""
+"""How many bytes of a note's text, and of each of its fields, are kept. The second pair is used only if the note is too
+long with the first one."""
 
 
 def fitting(
@@ -35,8 +35,8 @@ def fitting(
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
     """Pack a text and its fields into at most `room` bytes. `whole` is a function that combines the two into one value.
-    Each pair in `cuts` has two limits in bytes: the first is for the text, and the second is for every field. The first
-    pair with which everything fits into `room` is used. If nothing fits with any pair, all fields are left out."""
+    Each pair in `cuts` limits the text and every field, in bytes. The first pair with which everything fits is used. If
+    no pair is enough, all fields are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {

@@ -33,13 +33,13 @@ ASKED_BYTES = 180
 that asks fit into one record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""If somebody stops the whole fleet, the request has this text before that person's name. It reaches each robot through
-the fleet publisher that runs on the robot."""
+"""Comes before the name of the person who stops the whole fleet, in the request that the fleet publisher on each robot
+sends."""
 CAUSE = "{cause}"
-"""In the text of a reply, the text of the cause replaces this placeholder."""
+"""The placeholder in the text of a reply that is replaced by the text of the cause."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""If a reason was too long and was cut, it ends with this text."""
+"""The end of a reason that was too long and was cut."""
 
 NOBODY = 0
 """A session number that no client ever has."""
@@ -132,8 +132,8 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """Combine a process's pid and the number of the block of futexes that it holds into one word. With this word, other
-    processes can notice that the process has died."""
+    """Combine a process's pid and the number of its block of futexes into one word, by which other processes notice its
+    death."""
     return block << 32 | pid
 
 
@@ -281,8 +281,8 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
 of the ping. For a motion frame, it is COMMANDED (failstop/board/handled.py), with the speeds that the board will
 report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""Proof that the board has handled what was written to it. The first value is a time in ns: everything that was written
-before it was handled. The second value is when the board's report about this arrived, also in ns."""
+"""Proof that the board has handled everything that was written up to a certain time. The values are that time, and when
+the board's report that proves it arrived, both in ns."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
 0 if the burst could not be passed); and the packed cause."""
@@ -307,9 +307,9 @@ person drives, and the source. The name of the source is never cut, because a sh
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""What a client asserts. The values are the client's session, and a list of names. The names are those of interlocks
-that hold, or the name of an operator who is present. If there are no names, the record says that the obstacle sensor
-has delivered a reading. A name is never cut."""
+"""What a client asserts. The values are the client's session, and a list of names: the interlocks that hold, or the
+operator who is present. The record `sensed` has no names, and says that the obstacle sensor has delivered a reading. A
+name is never cut."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """What a client reports with say(). The values are the client's session, what the client sees, and what is wrong (may
 be empty)."""
@@ -338,8 +338,8 @@ REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client's request. The values are the client's session; the number of the request, which the reply repeats; and what
 the client asks for, such as ENABLE."""
 AUX: Payload[int, bytes] = Payload("<Q", rest(WIRE_BYTES))
-"""A frame that a client sends to the board, but that moves nothing. The values are the client's session and the frame,
-which may be a question to the board or any other frame that check_aux() of the board allows."""
+"""A client's frame for the board that moves nothing, such as a question. The values are the client's session and the
+frame, which check_aux() of the board must allow."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit that a client asks for. The values are the client's session, and the limit in percent of the speeds
 in the settings."""
@@ -429,8 +429,8 @@ by a frame for the board. The frame moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with the number `number`, such as PORT_OPEN. `entry`: the port owner's PORT record. If the
-    port owner already has a newer port, its record is about the newer port, so the result is PORT_CLOSED."""
+    """The state of the port with the number `number`, such as PORT_OPEN, from the port owner's PORT record. If that
+    record is already about a newer port, this port is PORT_CLOSED."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -98,8 +98,8 @@ def _make(path: str) -> int:
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove the name of a segment. Errors are ignored, because a name that can't be removed does no harm. Every new
-    run uses new names."""
+    """Remove the name of a segment. Errors are ignored, because a name that remains does no harm: every new run uses
+    new names."""
     with contextlib.suppress(OSError):
         os.unlink(path_of(memory, name))
 
@@ -160,8 +160,8 @@ def _version(told: bytes) -> str:
 
 
 def dead_runs(instance: str) -> list[str]:
-    """The runs of this instance, started by this user, that have ended without removing their segments. The newest run
-    comes last. Each run is returned as the name that all of its segments share; see memory()."""
+    """List this user's runs of an instance that have ended without removing their segments, the newest last. Each is
+    the name that the run's segments share, as memory() returns it."""
     found: dict[str, int] = {}
     prefix = f"failstop.{instance}."
     for file in os.listdir(SHM):
@@ -204,8 +204,8 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
     """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so the
     header is not checked. Instead, the CRC of each record shows that the record belongs to this run, because it
-    includes the run's incarnation. If a client has removed the segment's name, the segment can't be opened. The service
-    then reads an empty segment instead."""
+    includes the run's incarnation. If a client has removed the segment's name, the result is an empty segment, because
+    this one can't be opened."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
