@@ -19,9 +19,8 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""The path of a move is checked at points that are so close together that no joint turns by more than this angle (rad)
-between two of them. Between two points, the tip of an arm with a reach of 0.1 m moves 5 mm, and with a reach of 0.3 m
-it moves 15 mm."""
+"""The most that a joint turns between two points at which the path of a move is checked, in rad. Between two such
+points, the tip of an arm with a reach of 0.1 m moves 5 mm, and with a reach of 0.3 m it moves 15 mm."""
 
 
 class Model:

@@ -27,8 +27,8 @@ ARGUMENTS_BYTES = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""A program may ask for a stop before it knows the name of the culprit, for example of a ROS node. It then uses this
-text in place of the name, and sends the request again when it knows the name."""
+"""Replaces a name that a program does not know yet when it asks for a stop, for example that of a ROS node. The program
+sends the request again when it knows the name."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
@@ -234,21 +234,20 @@ def _to_remap(cause: Cause) -> str:
 ADVISED = {"others": _to_remap}
 """The placeholders that a remedy can contain, each with a function that returns the text to fill in."""
 BY = " (says it is "
-"""In the text of a requested stop, these words follow the reason, and the name of the program follows them."""
+"""Comes between the reason and the program's name in the text of a requested stop."""
 
 
 def rival_of(who: str, other: str) -> str:
-    """How to name the client `other` to people, because it disturbs the client `who`. Both arguments are a client's
-    name with its pid. Normally the result is `other`. If both pids are the same, the clients are two Robots in one
-    program, so the result is SECOND_ROBOT."""
+    """Return how to name `other`, a client that disturbs the client `who`. Both are names with a pid. The result is
+    `other`, or SECOND_ROBOT if the pids are the same, because then the clients are two Robots in one program."""
     pid = who.rpartition(" (pid ")[2]
     known = pid.endswith(")") and pid != "0)"  # 0: the client is in another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """True if `later` is a repetition of the stop request `latched`, and has the name that was NOT_KNOWN in `latched`.
-    For each latched cause this can be True only once, because after that no name is missing."""
+    """True if `later` repeats the stop request `latched`, and has the name that was NOT_KNOWN there. This is so only
+    once for each latched cause, because after that no name is missing."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments

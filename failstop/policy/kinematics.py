@@ -22,8 +22,8 @@ RimSpeeds = tuple[float, float, float]
 rim, in m/s."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""A factor for the wheels on the two sides of a base: how much a sideways motion of the base turns them. A sideways
-motion does not turn FIXED wheels. It turns MECANUM wheels as fast as a forward motion of the same speed."""
+"""How fast a sideways motion turns the wheels, compared with a forward motion of the same speed. It does not turn FIXED
+wheels."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
@@ -131,8 +131,8 @@ class Steered(Chassis):
 
     @property
     def turns_unseen(self) -> bool:
-        """True if the wheel speeds don't show how the base turns, because it has only one driven wheel. With only one
-        driven wheel, the commanded steering angle is the only sign of how the base turns."""
+        """True if the base has only one driven wheel, so that only the commanded steering angle shows how the base
+        turns."""
         return len(self._rear.rest) == 1
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:

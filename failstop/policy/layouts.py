@@ -20,8 +20,8 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""How many wheels each layout may have. On a board that failstop knows, a base has the largest of these numbers for
-which a frame has enough speeds. On a board that a user has described, a base has the smallest of these numbers."""
+"""How many wheels each layout may have. A base has the largest number for which a frame of its board has enough speeds,
+but the smallest number if a user has described the board."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {
@@ -115,11 +115,11 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
 }
 """Defaults that depend on the layout. The defaults for omni3 are those of the robot LeKiwi (lerobot's lekiwi.py), and
-the defaults for ackermann are those of ROSOrin. A board may replace the defaults for ackermann with its own
-(Facts.steered_defaults)."""
+the defaults for ackermann are those of ROSOrin. A board may replace them with its own (Facts.defaults,
+Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""The layout that is used if the settings name none. The key is how many speeds a frame of the board has. With any
-other number of speeds, the default of wheels.layout is used."""
+"""The layout if the settings name none, by the number of speeds in a frame of the board. For every other number, it is
+the default of wheels.layout."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -127,8 +127,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""Settings that exist only for some layouts. The key is the setting, and the value has the layouts for which the
-setting exists."""
+"""The settings that exist only for some layouts, each with these layouts."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:

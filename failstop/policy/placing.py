@@ -16,7 +16,7 @@ AT_LINE = re.compile(r"\(at line (\d+),")
 MOST_NAMED = 4
 """The most misplaced lines that one message names."""
 TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate")
-"""If a key or a table is in the file twice, the message of Python's TOML parser begins with one of these."""
+"""How the message of Python's TOML parser begins if a key or a table is in the file twice."""
 
 
 class FileLine(Data):
@@ -86,8 +86,8 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """If the message `problem` of the TOML parser means that something is in the file twice, a text about what is in
-    the file twice. Otherwise empty."""
+    """Return what is in the file twice, in words, if that is what the TOML parser's message `problem` is about.
+    Otherwise return an empty text."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

@@ -14,8 +14,8 @@ and if the supervisor itself dies, the other three must be able to react at once
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""If the port owner hangs for this long (ns), the stopper stops the robot. The port owner and the supervisor also
-notice if they themselves could not run for this long. If the wheels may turn, they then stop the robot."""
+"""How long the port owner may hang before the stopper stops the robot, in ns. The port owner and the supervisor also
+stop the robot if they themselves could not run for this long and the wheels may turn."""
 
 
 class Process(Data):

@@ -25,8 +25,7 @@ WAITS_FOR = {
     LINK_SILENT: "the board, which says nothing any more",
     LINK_UNHEARD: "the board, which has not answered since its port came back",
 }
-"""For each state in NOT_CONNECTED, a text that names what motion is waiting for, and why. The text can follow the words
-"wait for"."""
+"""What motion is waiting for in each of the states NOT_CONNECTED, and why. The text can follow the words "wait for"."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
 """This text follows the time at which a stop was written, if the device on the port may not be the board."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
@@ -67,9 +66,8 @@ The board may have answered earlier, and the wheels may have stopped earlier, th
 
 
 def heard_late(process: object) -> str:
-    """A text to add to the time of an answer after a stop. `process`: the process that the cause of the stop is about.
-    If this process is telemetry, the answer was received late, so the text is HEARD_LATE. For every other process the
-    text is empty."""
+    """Return HEARD_LATE if the cause of a stop is about telemetry, because then an answer to the stop was received
+    late. Otherwise return an empty text. `process`: the process that the cause is about."""
     return HEARD_LATE if process == "telemetry" else ""
 
 

@@ -1,5 +1,5 @@
-"""Scale: checks the setting board.per_rps, which is the scale of the wheels: the speed, in the board's unit, that means
-one turn of a wheel per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
+"""Scale: checks the setting board.per_rps, the scale of the wheels. It is the speed in the board's unit that means one
+turn of a wheel per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
 
 If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows that the scale is wrong,
 because commands and reports use the same wrong scale, so they always agree. Only a person who looks at the wheel can
@@ -26,18 +26,18 @@ beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""The largest allowed factor between the measured and the commanded speed of a wheel, in either direction. The value
-for True is for a board that holds the commanded speed. The value for False is for a board that only sets a voltage. The
-value for False is larger, because with a constant voltage the wheels turn faster downhill and slower under load."""
+"""The largest allowed factor between the measured and the commanded speed of a wheel, in either direction. True is for
+a board that holds the commanded speed, and False for one that only sets a voltage. With a constant voltage, the wheels
+turn faster downhill and slower under load."""
 GYRO_FITS = (1 / 1.6, 1.25)
 """The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
 below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""
 FITS = 1.25
-"""If a measured speed differs from the commanded speed by more than this factor, people get a remark, even if the robot
-may be healthy. For example, a slope can cause such a difference."""
+"""The factor between a measured and a commanded speed above which people get a remark. The robot may still be healthy,
+because a slope, for example, can cause such a difference."""
 ON_A_STAND = 0.1
-"""If the gyro measures less than this share of the commanded turn rate, the measurement says nothing about the scale.
-The robot is then probably on a stand, or somebody holds it."""
+"""The share of the commanded turn rate below which the gyro says nothing about the scale, because the robot is probably
+on a stand, or somebody holds it."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:

@@ -421,7 +421,7 @@ class Settings:
                 tables[name] = table
 
     def _cross_check(self) -> None:
-        """Each value alone is already checked. Check that the values also fit together."""
+        """Check that the values fit together. Each value alone is already checked."""
         every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [
