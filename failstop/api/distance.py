@@ -23,8 +23,8 @@ SILENCE_S = 0.02
 """The time from the end of a timeout until the board gets a speed of zero, in seconds, for every kind of board. The
 gate acts when the timeout ends, but for an interlock it acts one period later."""
 OWN_LINE_S = 0.012
-"""How much later than Hiwonder's board every other board gets a stop, in seconds. Its serial line or its loop may be
-slower, or the stop may have to be repeated. A USB adapter that removes the gaps between frames adds 0.02
+"""How much later than Hiwonder's board every other board gets a stop, in seconds. Another board's serial line or loop
+may be slower, or the stop may have to be repeated for it. A USB adapter that removes the gaps between frames adds 0.02
 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"

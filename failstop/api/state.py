@@ -182,7 +182,7 @@ class StateReader(SeenRun):
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """NOTHING_YET, and no operator is present if the robot needs one."""
+        """Return NOTHING_YET, with no operator present if the robot needs one."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 

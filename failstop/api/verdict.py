@@ -155,9 +155,9 @@ def large_word(state: State, events: Sequence[Event] = ()) -> str:
 
 
 def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
-    """What is proven about stopped wheels, in a word. If they were stopped without a latch after the last latched stop,
-    its proofs say nothing about them, so only what is seen counts. Bytes that are still in the kernel prove nothing
-    about the board, and an IMU that felt nothing proves nothing about the wheels."""
+    """What is proven about stopped wheels, in a word. If they were stopped again without a latch after the last stop,
+    the proofs of the last stop say nothing about them, so only what is seen counts. Bytes that are still in the kernel
+    prove nothing about the board, and an IMU that felt nothing proves nothing about the wheels."""
     stop = state.last_stop
     if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen

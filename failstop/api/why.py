@@ -33,11 +33,12 @@ class Why:
     """The answer to "why are the wheels stopped?". str() returns its three lines."""
 
     what: str
-    """Why the wheels are stopped, and since when. If nothing stops them, which velocity is commanded, and by which
-    program."""
+    """Why the wheels are stopped, and since when. If nothing stops them, it says which velocity is commanded, and by
+    which program."""
     proof: str
-    """What proves that the wheels are stopped. First, how long it took until the stop was written, acknowledged and
-    observed. (Only latched stops have these times.) Then, what is observed at present, with the age of the reading."""
+    """What proves that the wheels are stopped. It says how long it took until the stop was written, acknowledged and
+    observed, which is known only for latched stops. Then it says what is observed at present, with the age of the
+    reading."""
     do: tuple[str, ...]
     """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
     also: tuple[str, ...]

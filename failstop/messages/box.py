@@ -2,7 +2,7 @@
 shared memory, in rings named `box`, and are saved with each stop. This module defines the payloads of these rings.
 
 Each ring is in the segment of the process that writes it, so it can still be read when that process has died. Readers
-never delay the writer. Adding an entry is cheap. It still never delays a stop, because a process adds the entry about a
+never delay the writer. Adding an entry is cheap, and it never delays a stop, because a process adds the entry about a
 stop only after it has written the bytes of the stop.
 """
 

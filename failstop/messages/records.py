@@ -36,7 +36,7 @@ FLEET_PREFIX = "fleet:"
 """Comes before the name of the person who stops the whole fleet, in the request that the fleet publisher on each robot
 sends."""
 CAUSE = "{cause}"
-"""The placeholder in the text of a reply that is replaced by the text of the cause."""
+"""The placeholder for the text of the cause in the text of a reply."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
 """The end of a reason that was too long and was cut."""

@@ -62,9 +62,9 @@ def meant(key: str, known: Callable[[str], bool]) -> str:
 
 
 def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
-    """A text that names the lines below the wrong [table], and where they belong. Empty if no line is below the wrong
-    [table]. `keys`: the whole key of every value that the file sets. `known`: a function that returns True if a setting
-    with that key exists."""
+    """The lines below the wrong [table], and where they belong, in words. Empty if there are no such lines. `keys`: the
+    whole key of every value that the file sets. `known`: a function that returns True if a setting with that key
+    exists."""
     lines = outline(text)
     tables = {line.table: line.number for line in reversed(lines) if not line.name}
     whole = {line.whole: line for line in lines if line.name}

@@ -29,8 +29,8 @@ WAITS_FOR = {
 TO_A_STRANGER = "to a device that has not answered as the board does"
 """This text follows the time at which a stop was written, if the device on the port may not be the board."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
-"""This text says that the bytes of a stop have not left the kernel, because the board accepts none. For example, with
-the cdc_acm driver, the kernel keeps these bytes until the board accepts them."""
+"""Says that the bytes of a stop have not left the kernel, because the board accepts none. With the cdc_acm driver, for
+example, the kernel keeps them until the board accepts them."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """What can acknowledge a stop, in words for people. The keys are the words of the board interface."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"

@@ -69,8 +69,8 @@ def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """The first wheel whose servo does not answer while the servo of another wheel does, for example `rear wheel (servo
-    8)`. Empty if there is no such wheel."""
+    """The first wheel, such as `rear wheel (servo 8)`, whose servo does not answer while another wheel's does. Empty if
+    there is no such wheel."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
