@@ -56,7 +56,7 @@ class Arm:
         `speed` allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
         each text about the progress.
 
-        Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, the wheels are
+        Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, motion is
         enabled, a stop is latched, another request or arm.hold() ends the move, or a servo does not answer or does not
         follow.
         """

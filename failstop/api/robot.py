@@ -323,10 +323,10 @@ class Robot(Calls):
         gate to let this source drive (0.3 ms on an idle machine), but at most `wait_s`. If this source was already
         driving, or if `wait_s` is very short, the answer may still be about your previous command.
 
-        If you pass on commands that may be delayed, for example by a network, pass `proven_ns` (CLOCK_MONOTONIC, ns)
-        too. It is the latest moment for which you know that the command was wanted. The timeout of the command counts
-        from that moment. Pass manual=True if a person drives; the command then works even without an obstacle sensor.
-        `source` is a name from the settings' [sources].
+        `proven_ns` is the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
+        The command's timeout counts from it. Pass it for commands that may be delayed, for example by a network. Pass
+        manual=True if a person drives; the command then works even without an obstacle sensor. `source` is a name from
+        the settings' [sources].
 
         Raises ValueError for a value that is not finite, Undeclared (also a ValueError) for a source that the settings
         do not name, NoService when no service is running.
@@ -381,8 +381,8 @@ class Robot(Calls):
         """Clear the latched stop. Motion stays disabled until enable(). If nothing is latched, this changes nothing.
         Raises Refused if the robot was stopped again after this call was made.
 
-        If a person looks at a State and then decides to reset, pass the `epoch` of that State as `seen`. Then Refused
-        is also raised if the robot was stopped again after that State.
+        If a person looks at a State and then decides to reset, pass the `epoch` of that State as `seen`. A stop after
+        that State then also raises Refused.
         """
         return sleep_through(self._resetting(seen))
 

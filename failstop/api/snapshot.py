@@ -95,9 +95,8 @@ class Turning:
     """The measured speed of each wheel, rad/s, positive forward, in the order of `Wheels.names`. None if the board does
     not report speeds."""
     turned_rad: Wheels | None = None
-    """How far each wheel has turned since the first report, in rad, positive forward. Some boards count how far the
-    wheels turn. For boards that report only speeds, the distance is added up from the speeds. None if the board reports
-    neither distances nor speeds."""
+    """How far each wheel has turned since the first report, in rad, positive forward. If the board reports only speeds,
+    this is added up from the speeds. None if it reports neither."""
 
 
 OLD_S = 10.0

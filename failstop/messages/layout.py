@@ -216,9 +216,9 @@ LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
 the format of a payload in records.py changes but no size changes."""
 
 CLIENT_VERSION = 1
-"""Raise this number if programs that use the C library (clients/c) must be built again although no record of the
-library has changed its size or place. For example, raise it if the meaning of a value changes, or the meaning of a key
-in `state`, `rules` or `settings`."""
+"""Raise this number if programs that use the C library (clients/c) must be built again although the records in
+OF_LIBRARY keep their size and place. The reason can be a new meaning of a value, or of a key in `state`, `rules` or
+`settings`."""
 OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
     SUPERVISOR: {
         **dict.fromkeys(("beat_ns", "epoch", "ready", "link", "rules", "settings")),

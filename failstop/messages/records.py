@@ -1,8 +1,8 @@
 """Records: declares each payload in shared memory that has a fixed shape, with its values, and converts it to bytes and
 back.
 
-Payloads with a variable shape are msgpack maps, and the process that writes one also defines it. The payloads with a
-variable shape are the gate's state, the process table, and the last stop as people see it.
+Payloads with a variable shape, such as the gate's state and the process table, are msgpack. The process that writes
+such a payload also defines it.
 """
 
 from __future__ import annotations

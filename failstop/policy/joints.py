@@ -44,8 +44,8 @@ class Joint:
         """The commanded position in pulses, with a fraction. It is valid only while `known` is True."""
         self.velocity = 0.0
         self.known = False
-        """True if the servo's position was read, and since then the joint has moved only as commanded, so `position` is
-        where the joint is."""
+        """True if `position` is where the joint is, because the servo's position was read and the joint has moved only
+        as commanded since then."""
         self.loaded: bool | None = None
         """True if the torque is on, as far as is known. False if it is off. None if it is not known, because the torque
         was neither read nor switched yet."""

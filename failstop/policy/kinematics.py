@@ -35,7 +35,7 @@ direction is multiplied by this factor, so the limit is 0 where the base can't m
 
 
 LEAST_PIVOT = 1e-9
-"""A number in a matrix that is smaller than this share of the matrix's largest number is taken for a rounding error."""
+"""Numbers below this share of a matrix's largest number are taken for rounding errors."""
 
 
 class Chassis:
@@ -67,8 +67,8 @@ class Chassis:
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
         """The factors that convert wheel speeds to the body's velocity. There are three rows, for vx (m/s), vy (m/s)
-        and wz (rad/s). Each row has one factor for each id on the wire, by which the turns per second of that wheel are
-        multiplied.
+        and wz (rad/s). Each row has one factor for each id on the wire, which multiplies the turns per second of that
+        wheel.
 
         The resulting velocity fits all wheels best (least squares). Four mecanum wheels can turn at speeds that fit no
         motion of the body, so some wheels slip. This slip is ignored. Raises ValueError if the wheels can't tell the

@@ -62,7 +62,7 @@ So an IMU needs at least 40 samples per second."""
 
 HEARD_LATE = " (heard once telemetry was back)"
 """This text follows the time of an answer or report that telemetry received late, because telemetry had died or hung.
-The board may have answered earlier, and the wheels may have stopped earlier, than the time says."""
+The board may have answered, and the wheels may have stopped, before that time."""
 
 
 def heard_late(process: object) -> str:
