@@ -96,7 +96,7 @@ class Turning:
     not report speeds."""
     turned_rad: Wheels | None = None
     """How far each wheel has turned since the first report, in rad, positive forward. If the board reports only speeds,
-    this is added up from the speeds. None if it reports neither."""
+    this is added up from the speeds. None if it reports neither turns nor speeds."""
 
 
 OLD_S = 10.0
