@@ -1,4 +1,4 @@
-"""The command `failstop`. It finds the module of the subcommand, and imports only that one, so that it starts fast."""
+"""The command `failstop`. It imports only the module of the subcommand, so that it starts fast."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ HIDDEN = frozenset(("estop", "chaos"))
 failstop."""
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Errors of standard output that are no bug in failstop. They mean that no program reads the output, the disk is full,
-or the terminal has been closed."""
+"""Errors of standard output that are not bugs in failstop: no program reads the output, the disk is full, or the
+terminal has been closed."""
 EXAMPLES = "examples:"
 """The line above the examples at the end of a command's help."""
 DESCRIPTION = """Stops your robot when its software crashes or hangs.
@@ -82,7 +82,7 @@ MAN_PAGES = ("share/man/man1/failstop.1", "share/man/man1/failstop.1.gz")
 
 
 def _has_man_page() -> bool:
-    """True if a manual page was installed with failstop. The Debian package installs one, and pip does not."""
+    """Return True if a manual page was installed with failstop. The Debian package installs one, and pip does not."""
     return any(os.path.exists(os.path.join(place, page)) for place in (SYSTEM, sys.prefix) for page in MAN_PAGES)
 
 
@@ -131,7 +131,7 @@ def _main(words: list[str]) -> int:
 
 
 def _meant(word: str) -> str:
-    """A question such as "did you mean ...?" about a mistyped command. Empty if no command resembles `word`."""
+    """Return a question such as "did you mean ...?" about a mistyped command. Empty if no command resembles `word`."""
     from difflib import get_close_matches
 
     found = get_close_matches(word.lower(), COMMANDS, 1)
@@ -139,12 +139,12 @@ def _meant(word: str) -> str:
 
 
 def is_laboratory(name: str) -> bool:
-    """True if the command belongs to the laboratory, which may be missing on a robot."""
+    """Return True if the command belongs to the laboratory, which may be missing on a robot."""
     return COMMANDS[name][0].startswith(LABORATORY)
 
 
 def here(name: str) -> bool:
-    """True if the command is installed."""
+    """Return True if the command is installed."""
     if not is_laboratory(name):
         return True
     from importlib.util import find_spec
@@ -153,9 +153,8 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """The parser of a command, and its module. The examples at the end of the command's help come from EXAMPLES in that
-    module, which is one text, or a dict with a text for each command. Raises FailstopError if the command is not
-    installed."""
+    """Return the parser and the module of a command. The command's help ends with EXAMPLES from the module, which is
+    one text, or a dict with a text for each command. Raises FailstopError if the command is not installed."""
     import argparse
 
     from failstop.cli import style
@@ -176,7 +175,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
             return [style.plain(line) for line in style.wrap([(words, style.PLAIN)], width, 0)]
 
     class Parser(argparse.ArgumentParser):
-        """A parser, and those of its subcommands, with this help."""
+        """A parser that formats its help with Help. The parsers of its subcommands do the same."""
 
         def __init__(self, *, formatter_class: type[argparse.HelpFormatter] = Help, **given: Any) -> None:
             super().__init__(formatter_class=formatter_class, **given)
@@ -189,7 +188,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
 
 
 def examples(module: ModuleType, name: str) -> list[str]:
-    """The lines of a command's examples."""
+    """Return the lines of a command's examples."""
     found: str | dict[str, str] = getattr(module, "EXAMPLES", "")
     text = found if isinstance(found, str) else found.get(name, "")
     return [line.strip() for line in text.splitlines() if line.strip()]
@@ -209,8 +208,8 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """If the message of this error is meant for people, print the message and return the error's exit code. Any other
-    error is a bug, so it is raised again."""
+    """Print the error's message if it is meant for people, and return the error's exit code. Any other error is a bug,
+    so it is raised again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
@@ -233,7 +232,7 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Advice if `error` was raised because too many files were open, even indirectly. Empty for any other error."""
+    """Return advice if too many open files have caused `error`, even indirectly. Empty for any other error."""
     import resource
 
     from failstop.procs.rights import no_descriptors

@@ -6,8 +6,8 @@ from __future__ import annotations
 import sys
 
 INCOMPLETE = 78
-"""The exit code if a package is missing (EX_CONFIG of sysexits.h). A restart would not help, so the systemd unit and
-the launch file of the ROS 2 bridge don't restart the bridge after this exit code."""
+"""The exit code if a package is missing (EX_CONFIG of sysexits.h). A restart would not help, so the ROS 2 bridge's
+systemd unit and launch file don't restart the bridge after this code."""
 DISTRIBUTIONS = {
     "msgpack": ("msgpack", "python3-msgpack"),
     "numpy": ("numpy", "python3-numpy"),
@@ -16,13 +16,13 @@ DISTRIBUTIONS = {
     "serial": ("pyserial", "python3-serial"),
     "tomli": ("tomli", "python3-tomli"),
 }
-"""The modules that failstop needs. Each has its name on PyPI, and its Debian package for the system's Python (empty if
-there is no such package)."""
+"""The modules that failstop needs. Each has its package on PyPI, and its Debian package for the system's Python (empty
+if there is none)."""
 
 
 def text(error: ImportError) -> str:
-    """A text that says which package is missing, for which Python, and how to install the package. Empty if a module of
-    failstop itself is missing, because that is a bug."""
+    """Describe which package is missing, for which Python, and how to install it. Empty if a module of failstop itself
+    is missing, because that is a bug."""
     module = (error.name or "").partition(".")[0]
     if module == "failstop":
         return ""

@@ -37,8 +37,7 @@ def say(text: str) -> None:
 
 
 def print_line(text: str) -> None:
-    """Print a line about something that was done. It goes to standard output. If standard output can't be written, it
-    goes to standard error. Never raises."""
+    """Print a line on standard output, or on standard error if standard output can't be written. Never raises."""
     try:
         sys.stdout.write(folded(text) + "\n")
         sys.stdout.flush()
@@ -48,7 +47,7 @@ def print_line(text: str) -> None:
 
 
 def folded(text: str) -> str:
-    """The text as it is printed on standard output. If standard output is a terminal, the text is wrapped at spaces."""
+    """Wrap a text at spaces if standard output is a terminal."""
     from failstop.supervisor.events import fitted
 
     return fitted(text, 1, 2)

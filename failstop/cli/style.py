@@ -25,14 +25,14 @@ STRONG = "strong"
 PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
-"""The colour of each role. These are colours of the 256-colour palette, because a terminal's theme does not change
-them. All can be read on black and on white, because their contrast is at least 3.8. The yellow of a terminal's theme
-may have a contrast of only 1.1 on white. A console with fewer colours shows the closest one."""
+"""The colour of each role, from the 256-colour palette, because a terminal's theme does not change that palette. All
+colours can be read on black and on white, because their contrast is at least 3.8. The yellow of a theme may have a
+contrast of only 1.1 on white. A console with fewer colours shows the closest one."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
-"""Matches a text that people copy, which must not be broken across lines. Such a text is a command with a path, or a
-JSON frame of the board."""
+"""Matches a text that must not be broken across lines, because people copy it. It is a command with a path, or a JSON
+frame of the board."""
 _UNIT = f"(?:{'|'.join(map(re.escape, sorted(UNITS)))})(?![\\w/])"
 _WORD = re.compile(f"(?:`[^`]*`|pid [0-9]+|[0-9] {_UNIT}|[^ ])+ *| +")
 """Matches one word with the spaces after it. Some texts with spaces count as one word: a command in backquotes, a
@@ -43,12 +43,12 @@ _NUMBER = re.compile(" *[0-9]+[.] +")
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
-    """True if `terminal` is True and the variable TERM says that the terminal understands escape sequences."""
+    """Return True if `terminal` is True and the variable TERM says that the terminal understands escape sequences."""
     return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
-    """For each role, the escape code (SGR) of its colour. Empty if this terminal shows no colours."""
+    """Return the escape code (SGR) of each role's colour. Empty if this terminal shows no colours."""
     return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 
@@ -58,13 +58,14 @@ def _known() -> dict[str, str]:
 
 
 def paint(text: str, role: str) -> str:
-    """The text with the colour of its role. If standard output is no terminal with colours, the text is unchanged."""
+    """Return the text with the colour of its role. If standard output is no terminal with colours, the text is
+    unchanged."""
     code = _known().get(role)
     return f"\x1b[{code}m{text}\x1b[0m" if code and text else text
 
 
 def width() -> int:
-    """The width of the terminal in columns; 80 if there is no terminal."""
+    """Return the width of the terminal in columns; 80 if there is no terminal."""
     try:
         return max(LEAST_COLUMNS, os.get_terminal_size(1).columns or NO_TERMINAL_COLUMNS)
     except OSError:
@@ -72,15 +73,14 @@ def width() -> int:
 
 
 def cells(text: str) -> int:
-    """How many columns a printable text needs on a terminal."""
+    """Return how many columns a printable text needs on a terminal."""
     if text.isascii():
         return len(text)
     return sum(0 if combining(c) else 2 if east_asian_width(c) in "WF" else 1 for c in text)
 
 
 def cut(text: str, columns: int) -> str:
-    """The text if it fits into this many columns. If it is too long, the beginning of the text, with an ellipsis at the
-    end."""
+    """Cut a text to this many columns. If it is too long, the result ends with an ellipsis."""
     if cells(text) <= columns:
         return text
     while cells(text) >= max(1, columns):
@@ -89,12 +89,12 @@ def cut(text: str, columns: int) -> str:
 
 
 def plain(line: Line) -> str:
-    """The text of a line, without colours."""
+    """Return the text of a line, without colours."""
     return "".join(text for text, _ in line)
 
 
 def painted(line: Line, columns: int | None = None) -> str:
-    """A line as text with colours, cut to `columns`. If `columns` is None, the line is not cut."""
+    """Return a line as text with colours, cut to `columns`. If `columns` is None, the line is not cut."""
     parts = []
     for text, role in line:
         if columns is not None:
@@ -118,15 +118,15 @@ def warn(text: str, end: str = "\n") -> None:
 
 
 def record(found: object) -> list[Line]:
-    """A value as JSON, for programs. Values for which JSON has no form are written as Python shows them."""
+    """Convert a value to JSON, for programs. A part that JSON can't represent is written as Python shows it."""
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
 
 
 def bound(text: str, space: str) -> str:
-    """The text with `space` between each number and its unit, for a program that breaks lines by itself. `space`: what
-    that program takes for a space at which it must not break."""
+    """Put `space` between each number and its unit, for a program that breaks lines by itself. `space`: a space at
+    which that program does not break."""
     return _BEFORE_UNIT.sub(lambda _: space, text)
 
 
@@ -187,8 +187,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """The lines that fit on the screen. If there are too many lines, the empty lines are dropped first. If there are
-    still too many, the last lines are dropped, and a line at the end says how many lines are missing."""
+    """Return the lines that fit on the screen. If there are too many, the empty lines are dropped first, then the last
+    ones. A line at the end then says how many lines are missing."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

@@ -13,7 +13,7 @@ def add_name(parser: ArgumentParser) -> None:
 
 
 def seconds(text: str) -> float:
-    """Read the value of an option that is a time in seconds. Raises ArgumentTypeError if it is not a valid time."""
+    """Convert the value of an option to seconds. Raises ArgumentTypeError if it is not a number above 0."""
     try:
         found = float(text)
     except ValueError:

@@ -33,7 +33,7 @@ WHAT = (
     "drive, tuck: go to the pose of that name; hold: stop where the arm is; release: switch off the torque, so the arm "
     "falls; read: ask the servos where they are, then show the status"
 )
-"""The help text that explains each verb in VERBS, for example `move`."""
+"""The help text for the verbs in VERBS."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -116,7 +116,7 @@ def _values(words: list[str]) -> dict[str, float]:
 
 
 def _lines(arm: ArmState) -> list[style.Line]:
-    """The arm's state as lines for the terminal, with a table of its joints."""
+    """Return the arm's state as lines for the terminal, with a table of its joints."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
     head += [("wrong", text) for text in arm.wrong]
     head += [("refused", arm.refused)] if arm.refused else []

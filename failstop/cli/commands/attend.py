@@ -29,24 +29,23 @@ failstop attend --as Anna
 
 PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
-"""Programs such as tmux, which answer for the terminal even after the operator has closed it, so an absent operator
-would count as present. Each name of a process has the program's name for people."""
+"""Programs that may run between this process and the terminal. They keep answering after the operator has closed the
+terminal, so an absent operator would count as present. The keys are process names, and the values are the programs'
+names for people."""
 PLACES = 60
-"""How many columns the cursor visits before it returns to the first. The command moves the cursor and asks the terminal
-for its position every 0.1 s, so it returns to a column after 6 s."""
+"""How many columns the questions use in turn. A question is asked every 0.1 s, so a column is used again after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
-"""Matches the beginning of an answer of the terminal, if the rest of the answer has not arrived yet."""
+"""Matches an incomplete answer at the end of the bytes."""
 
 
 class Questions:
-    """Asks a terminal for its cursor's position, which proves that the terminal is still at the other end of a
-    connection such as ssh. The class is pure, because the times are arguments.
+    """Asks a terminal where its cursor is. The answers prove that the terminal is still connected, for example through
+    ssh. Pure, because the times are arguments.
 
-    Each question moves the cursor to a new column, and asks the terminal where the cursor is. The terminal answers the
-    questions in their order, without a person. So an answer belongs to the oldest unanswered question about the column
-    that the answer reports, even if the answer comes late. A late answer proves only that the terminal was there when
-    the question was asked.
+    Each question moves the cursor to a new column. The terminal answers in order, without a person. So an answer
+    belongs to the oldest open question for the column that the answer reports. A late answer proves only that the
+    terminal was connected when the question was asked.
     """
 
     def __init__(self) -> None:
@@ -54,8 +53,7 @@ class Questions:
         self._number = 0
         self._rest = b""
         self.proven_ns = 0
-        """When the newest of the answered questions was asked (CLOCK_MONOTONIC, ns). 0 until the terminal has
-        answered."""
+        """When the newest answered question was asked (CLOCK_MONOTONIC, ns). 0 before the first answer."""
 
     def ask(self, now_ns: int, row: int) -> str:
         """Make the next question, as text to write to the terminal."""
@@ -65,8 +63,7 @@ class Questions:
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """Handle the answers in the bytes that the terminal has sent. Returns the bytes without the answers, which a
-        person has typed."""
+        """Handle the answers in these bytes from the terminal. Returns the other bytes, which a person has typed."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._answered(int(found[2]))
@@ -114,7 +111,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """The name of a program, for example tmux, that runs this process and would answer for the terminal. Empty if no
+    """Return the name of a program, such as tmux, that runs this process and would answer for the terminal. Empty if no
     such program runs this process."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):

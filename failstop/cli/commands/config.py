@@ -74,8 +74,7 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
         "ros2": {"timeout_s": 0.3, "refusal": "the ROS 2 bridge is away, or two nodes publish cmd_vel"},
     },
 }
-"""Examples of tables whose names the user chooses, such as a joint that the user calls `shoulder`. failstop has no such
-table unless a settings file defines it."""
+"""Examples of tables that the user names, such as a joint called `shoulder`. No such table exists by default."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -127,7 +126,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _fastest(settings: Settings, metres: float) -> str:
-    """A text that says how fast the robot may drive if it must stop within the distance `metres`."""
+    """Describe how fast the robot may drive if it must stop within `metres`."""
     if not metres > 0:
         raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
     _, latest = distance.furthest(settings)
@@ -139,8 +138,8 @@ def _fastest(settings: Settings, metres: float) -> str:
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:
-    """Every setting by its whole key, with its value, unit, origin and allowed values. The origin is "default" or the
-    path of the file. Raises SettingError."""
+    """Return every setting by its whole key, with its value, unit, origin and allowed values. The origin is "default"
+    or the path of the file. Raises SettingError."""
     read = config.read(path)
     return {
         key: {
@@ -154,7 +153,7 @@ def rows(path: str | None) -> dict[str, dict[str, float | str]]:
 
 
 def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
-    """The settings from rows() as a table for the terminal, with an empty line between two groups."""
+    """Return the settings from rows() as a table for the terminal, with an empty line between two groups."""
     cells = []
     for key, row in found.items():
         setting = declaration(key)
@@ -171,10 +170,9 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """The text of an example settings file, with every default and some sample tables. Every line is a comment.
-    Otherwise a copy of the file would keep an old default after a later version of failstop has changed the default.
-    Every setting has its whole key, without a [table] line, because a line that somebody adds below a [table] would
-    belong to that table."""
+    """Return an example settings file, with every default and some sample tables. Every line is a comment, because a
+    copy of the file must not keep a default that a later version of failstop changes. There are no [table] lines,
+    because a line that somebody adds below a [table] would belong to that table."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {
@@ -205,8 +203,7 @@ def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
 
 
 def literal(setting: Setting, value: float | str) -> str:
-    """A setting's value in TOML. If the value is a text, it must be printable and contain no quotes and no
-    backslashes."""
+    """Return a setting's value in TOML. A text must be printable, without quotes and backslashes."""
     if isinstance(value, str):
         return f'"{value}"'
     return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)

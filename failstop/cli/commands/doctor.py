@@ -38,12 +38,11 @@ SHOWN = {
     SKIP: (style.DIM, "not known"),
     OK: (style.OK, "fine"),
 }
-"""How findings of each level are shown: their colour, and the word that follows their number in the summary, for
-example "2 failed"."""
+"""For each level, the colour of its findings, and the word for them in the summary, for example in "2 failed"."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
 """Settings that the report leaves out, because their values may contain a password or show where the robot is."""
 UNBROKEN = 1 << 16
-"""A number of columns that is so large that no line is ever wrapped."""
+"""A width in columns that no line reaches, so no line is wrapped."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -86,8 +85,8 @@ def main(arguments: Namespace) -> int:
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
-    """The text of a report that can be sent to others. It has the findings, versions, settings and the last incident.
-    It leaves out the values of the settings in WITHHELD, and the name of this computer."""
+    """Return a report that can be sent to others, with the findings, versions, settings and the last incident. It
+    leaves out the values of the settings in WITHHELD, and the name of this computer."""
     try:
         with files.as_written(meant := files.find(files.LAST, look.name, os.environ)):
             incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))
@@ -115,8 +114,8 @@ def _without(words: list[str], told: Any) -> Any:
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
-    """The findings as lines for people, wrapped to this many columns. Commands are not wrapped, so that they can be
-    copied."""
+    """Return the findings as lines for people, wrapped to this many columns. Commands are not wrapped, so that they can
+    be copied."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []

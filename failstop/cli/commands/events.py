@@ -90,22 +90,22 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """A line that says how far the wall clock has jumped between two events. People must know about a jump, because the
-    times of day before it can't be compared with those after it. The list is empty if the clock has not jumped."""
+    """Return a line about a jump of the wall clock between two events. Times of day from before a jump can't be
+    compared with later ones. Empty if the clock has not jumped."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
-    """An event as lines for people, wrapped to this many columns. If `columns` is None, the result is one line of any
-    length."""
+    """Return an event as lines for people, wrapped to this many columns. If `columns` is None, the result is one line
+    of any length."""
     line = summary.event(event, now_s)
     indent = sum(style.cells(text) for text, _ in line[:2])
     return [line] if columns is None else style.wrap(line, columns, indent if indent < columns // 2 else 2)
 
 
 def kinds(text: str) -> frozenset[str]:
-    """The kinds of events in a text such as `stop,died`. Raises FailstopError for an unknown kind."""
+    """Return the kinds of events in a text such as `stop,died`. Raises FailstopError for an unknown kind."""
     found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in EVENT_KINDS]
     if unknown := sorted(found.difference(known)):
         raise FailstopError(f"no events have the kind {', '.join(unknown)}; the kinds are {', '.join(known)}")
@@ -113,8 +113,7 @@ def kinds(text: str) -> frozenset[str]:
 
 
 def since(text: str, now_s: float) -> float:
-    """The Unix time that lies `text` before the present. For example, the text `10m` means ten minutes ago. Raises
-    FailstopError if the text is not an age."""
+    """Convert an age such as `10m` (ten minutes ago) to Unix time. Raises FailstopError if the text is not an age."""
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():

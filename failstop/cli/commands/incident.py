@@ -37,7 +37,7 @@ SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
 """How long after a stop to wait for its incident file, in seconds. The service saves the file 2.4 s after the stop."""
 TOGETHER_NS = 500_000_000
-"""Two stops that are at most this far apart (ns) belong to one incident, so one file has both of them."""
+"""How far apart two stops of one incident may be, in ns. One file has both of them."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -82,8 +82,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
-    """The lines to print about an incident. If the action is plot or export, this also writes the file, and the lines
-    name the file. Raises IncidentError."""
+    """Return the lines to print about an incident. For plot and export, this also writes the file. Raises
+    IncidentError."""
     if arguments.action == "show":
         if arguments.json:
             return record(story.as_dict(incident))
@@ -100,8 +100,8 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """A warning that the times of day in an incident may be wrong, because somebody has set the clock. A comparison of
-    all saved incidents shows whether the clock was set. Empty if it was not."""
+    """Return a warning if the times of day in an incident may be wrong, because somebody has set the clock. All saved
+    incidents are compared to find this out. Empty if the clock was not set."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -120,8 +120,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """The path of the file of the incident that the user means. The user may mean the last incident while the service
-    is still saving it. In that case this waits for the file. Raises IncidentError."""
+    """Return the path of the incident file that the user has asked for. If the user wants the last incident and it is
+    still being saved, this waits for its file. Raises IncidentError."""
     # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
@@ -141,9 +141,8 @@ def _meant(arguments: Namespace) -> str:
 
 
 def _newer(name: str, stop: Stop | None) -> str:
-    """A text that says what has stopped the wheels since the newest saved incident, and why no incident file has this
-    stop. Empty if nothing is known to have stopped the wheels since the newest saved incident. `stop`: the service's
-    last stop if no file has it, else None."""
+    """Describe what has stopped the wheels since the newest saved incident, and why that stop is not saved. Empty if no
+    such stop is known. `stop`: the result of unsaved()."""
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
@@ -153,9 +152,9 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """A text that says when and why the wheels were last stopped without latching a stop, for example because motion
-    was disabled. The text also says that no incident was saved, because only a latched stop has an incident. Empty
-    while a stop is latched, and if the newest stop was a latched one."""
+    """If the last stop of the wheels was not latched, for example because motion was disabled, describe when and why
+    the wheels were stopped. The text also says that only a latched stop has an incident. Empty while a stop is latched,
+    and if the last stop was a latched one."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:
@@ -167,7 +166,7 @@ def unlatched(name: str) -> str:
 
 
 def unsaved(name: str) -> Stop | None:
-    """The service's last stop. None if the stop is saved in an incident file, or if no stop is known."""
+    """Return the service's last stop if no incident file has it, else None."""
     try:
         state, run = StateReader(name).read(), client.run(name)[0].rpartition(".")[2]
     except FailstopError:
@@ -183,8 +182,8 @@ def unsaved(name: str) -> Stop | None:
 
 
 def failed(name: str, stop: Stop) -> str:
-    """The reason why the service could not save the incident of its last stop. Empty if the service has reported no
-    failure."""
+    """Return the reason why the service could not save the incident of its last stop. Empty if the service has reported
+    no failure."""
     try:
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:

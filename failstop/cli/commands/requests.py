@@ -47,8 +47,8 @@ ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
-"""How long to wait before printing why the wheels are blocked, in seconds. A process that has died has normally been
-restarted by then. So the message need not tell the user to wait for the restart."""
+"""How long to wait before printing why the wheels are blocked, in seconds. By then a process that has died has normally
+been restarted, so the message need not tell the user to wait for the restart."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -97,8 +97,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _limit(robot: Robot, percent: float | None) -> str:
-    """Set the speed limit. If `percent` is None, only return a text about the present limit. Raises Refused if
-    `percent` is 0 or less, or more than 100. Also raises Refused if the limit is too low for the gate."""
+    """Set the speed limit. If `percent` is None, only describe the present limit. Raises Refused if the limit is not
+    allowed."""
     if percent is None:
         now = robot.state.speed_limit
         return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
@@ -108,9 +108,9 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
-    """Drive at a velocity for some time, and then command zero. These are manual commands, because a person has typed
-    them. Raises Refused as soon as something blocks the wheels, or a source with a higher priority drives. At the end,
-    raises Refused if none of the commands was passed on to the wheels."""
+    """Drive at the velocity `asked` for `for_s` seconds. The caller must then stop the wheels. The commands count as
+    manual, because a person has typed them. Raises Refused as soon as something blocks the wheels, or a source with a
+    higher priority drives. At the end, raises Refused if none of the commands was passed on to the wheels."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
@@ -137,8 +137,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
 
 
 def _blocked(robot: Robot) -> Refused | None:
-    """The reason why a drive command can't move the robot at present, with the shell command that helps. None if the
-    robot can be driven."""
+    """Return the reason why a drive command can't move the robot at present, with the shell command that helps. None if
+    the robot can be driven."""
     state = robot.state
     if state.cause:
         return Refused(IS_LATCHED, state.cause, steps.line(state))

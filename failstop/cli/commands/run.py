@@ -1,5 +1,5 @@
-"""`failstop run`: runs the service in the foreground. First of all it writes a stop to the port, before it does
-anything that may fail."""
+"""`failstop run`: runs the service in the foreground. It writes a stop to the port before it does anything that may
+fail."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def main(arguments: Namespace) -> int:
 
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
-    """Decide to which port and for which board the first stop is written. The settings file decides, even if it also
-    has settings that are wrong. If the file can't be read, the saved stop of the last run is used. If no stop was
-    saved, the default settings are used. The option --device overrides the port in every case.
+    """Choose the port and the board for the first stop. Both come from the settings file, even if other settings in it
+    are wrong. If the file can't be read, they come from the last run, or else from the default settings. The option
+    --device overrides the port in every case.
 
     Returns the port; the board; the settings in the file, unchecked, or None if they can't be read; and a text about
     the port, to print after the stop. Raises FailstopError.
@@ -97,15 +97,14 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None,
 
 
 def _read(path: str | None) -> dict[str, object] | None:
-    """The settings in a settings file, unchecked. None if the file can't be read."""
+    """Return the settings in a settings file, unchecked. None if the file can't be read."""
     with contextlib.suppress(Exception):
         return config.read(path)
     return None
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
-    """Become the supervisor. If the port can't be used, this checks everything else and returns. Raises one of
-    REFUSALS."""
+    """Become the supervisor. Without a port, this only checks everything else and returns. Raises one of REFUSALS."""
     from failstop.supervisor import fit, status  # imported only here, so that the first stop does not wait for them
 
     rights.raise_limits()
@@ -122,7 +121,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 
 def _again(arguments: Namespace) -> str:
-    """The command line that starts this service again from any folder, quoted for a shell."""
+    """Return the command line that starts this service again from any folder, quoted for a shell."""
     from failstop.supervisor.status import own_unit
 
     if (unit := instances.unit_of(arguments.name)) == own_unit():

@@ -37,12 +37,12 @@ failstop why --json | jq -r '.do[]'  # only the steps to take
 }
 
 MOST_COLUMNS = 100
-"""The longest lines that `failstop why` prints, in columns. Longer lines are hard to read."""
+"""The width of the longest line that `failstop why` prints, in columns. Longer lines are hard to read."""
 LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
-"""The largest number of values that a sparkline can show. If the terminal is wider, the right part of the sparkline's
-row stays empty."""
+"""The largest number of values that a sparkline shows. On a wider terminal, the left part of the sparkline's row stays
+empty."""
 SLOW_S = 0.5
 """How often ages and the process table are redrawn, in seconds. Digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
@@ -64,8 +64,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. If the service has died, `failstop why` prints what is still known about it and returns an error
-    code, and `failstop status` raises NoService. Both raise NoService if there was no service."""
+    """Run the command. Raises NoService if no service is running. But if the service has died, `failstop why` prints
+    what is still known about it, and returns an error code."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -98,8 +98,8 @@ def _why(name: str, *, as_json: bool) -> int:
 
 
 def _watch(name: str) -> int:
-    """Show the state live until the user types q or a signal arrives. The exit code is 0 after q. After a signal it is
-    128 plus the signal's number."""
+    """Show the state live until the user types q or a signal arrives. Returns 0 after q, and 128 plus the signal's
+    number after a signal."""
     from failstop.cli.screen.terminal import Terminal
 
     follower, live = Follower(name), Live(name)
@@ -125,7 +125,7 @@ def spark(values: Iterable[float | None], top: float, columns: int) -> str:
 
 
 class Live:
-    """The live screen of `failstop status -w`. It remembers earlier values for the sparklines."""
+    """Draws the live screen of `failstop status -w`. It remembers earlier values for the sparklines."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -138,9 +138,9 @@ class Live:
     def lines(
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
     ) -> list[Line]:
-        """The lines of the screen for a state. Each call adds one step to the sparklines, so call it at a steady rate.
-        `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the last events fill
-        the rows that are left. `events`: the events of this run, the oldest first."""
+        """Return the lines of the screen for a state. Each call adds one step to the sparklines, so call it at a steady
+        rate. `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the last events
+        fill the rows that are left. `events`: the events of this run, the oldest first."""
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         fact = state.turning.does, state.turning.unexpected
@@ -176,7 +176,7 @@ class Live:
         return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (spark(values, top, columns - NAMES), role)]
 
     def gone(self, note: str, columns: int) -> list[Line]:
-        """The lines of the screen while no service is running."""
+        """Return the lines of the screen while no service is running."""
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
             self._title("", columns),
@@ -192,8 +192,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """The last events, one in each row, as many as fit into `room` rows. The rows don't say what to do next, because
-    the screen already says so higher up."""
+    """Return the last events, one in each row, as many as fit into `room` rows. The rows leave out what to do next,
+    because the screen already shows it higher up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -1,6 +1,5 @@
-"""`failstop stop`, also called `failstop estop`. This command asks the running service to stop the robot. If no service
-is running, or if the service does not stop the robot, the command writes the stop to the port itself. So the command
-works even if everything else has failed."""
+"""`failstop stop`, also called `failstop estop`: asks the running service to stop the robot. If that fails, the command
+writes the stop to the port itself, so it works even if everything else has failed."""
 
 from __future__ import annotations
 
@@ -39,14 +38,13 @@ BAUD, CAN_ID = "board.baud", "board.can_id"
 DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_ID)}
 
 END_SERVICE_S = 12.0
-"""How long the whole command may take with --end-service, in seconds. The limit is shorter than TimeoutStopSec of the
-systemd unit, because systemd kills this program after TimeoutStopSec, whether or not the program has finished."""
+"""How long the whole command may take with --end-service, in seconds. This is less than TimeoutStopSec of the systemd
+unit, because systemd kills this program after that time."""
 STALLED_S = 1.0
-"""How much of END_SERVICE_S may be spent on a port that exists but accepts no bytes, in seconds. After that time this
-program gives up, and the systemd unit failstop-late@ keeps trying to write the stop."""
+"""With --end-service, how long to try a port that exists but accepts no bytes, in seconds. After that, the systemd unit
+failstop-late@ keeps trying to write the stop."""
 REST_S = 1.0
-"""How long to wait for killed processes to end, in seconds. A killed process ends late if it is writing to a port that
-hangs."""
+"""How long to wait for killed processes to end, in seconds. A process that is writing to a hanging port ends late."""
 
 EXAMPLES = """\
 failstop stop
@@ -95,10 +93,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
 
-    The exit code is 0 if a stop was written and there is no doubt about it. It is 1 in these cases: the stop may have
-    gone to the wrong port; the board does not answer, although this kind of board can answer; a running service has
-    written the stop but has a reason to think that the wheels still turn; or --end-service was used outside of the
-    service's systemd unit.
+    Returns 0 if a stop was written and there is no doubt about it. Returns 1 if the stop may have gone to the wrong
+    port, if a board that can answer is silent, if a service has written the stop but the wheels may still turn, or if
+    --end-service was used outside of the service's systemd unit.
     """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -119,8 +116,7 @@ def main(arguments: Namespace) -> int:
 
 
 class Order(Data):
-    """What the user has asked for: one stop, with its reason. It must reach the board through a service or through the
-    port."""
+    """A stop that the user has requested."""
 
     name: str
     """The name of the service."""
@@ -130,14 +126,14 @@ class Order(Data):
 
 
 Outcome = int | str
-"""The result of trying one way to stop the robot. It is the exit code if a stop was written. Otherwise it is the reason
-why no stop was written, a text that may be empty."""
+"""The result of one way to stop the robot: the exit code if a stop was written, else the reason why not, which may be
+empty."""
 NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask a running service to stop the robot. If the user has named a port, this asks every service that may use the
-    port, whatever the service's name is. Otherwise it asks only the service `order.name`."""
+    """Ask the service `order.name` to stop the robot. But if the user has named a port, ask every service that may use
+    that port, whatever the name of the service is."""
     try:
         target = order.target
         device = target.wanted()
@@ -148,8 +144,8 @@ def _ask_services(order: Order) -> Outcome:
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask the services `names` one after the other, until a service has stopped the robot. With `device`, services that
-    use a different port are not asked. If `device` is empty, the port does not matter."""
+    """Ask these services one after the other, until one has stopped the robot. If `device` is not empty, services that
+    use a different port are not asked."""
     # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
@@ -178,9 +174,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write the stop to the port itself. It tries again until the port accepts the stop, or until the waiting time
-    (--wait) is over. While another process holds the port, it also looks for a service that has just been started.
-    While the port does not exist, it also tries the port that the settings name."""
+    """Write the stop to the port itself, and try again until it succeeds or the waiting time (--wait) is over. While
+    another process holds the port, also look for a service that has just been started. If the port can't be used, also
+    try the port that the settings name."""
     target = order.target
     by_service: list[int] = []
 
@@ -212,9 +208,9 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """Ask the service `order.name` to stop the robot, if it was started while this program tried to write to the port.
-    The service is asked only once. Returns a list with the exit code if the service has stopped the robot, else an
-    empty list."""
+    """Ask the service `order.name` to stop the robot, but only once, and only if it was started after this program
+    began to try the port. Returns a list with the exit code if the service has stopped the robot, else an empty
+    list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -228,7 +224,7 @@ def _ask_late_service(order: Order) -> list[int]:
 
 
 def _end(target: Target, start_s: float) -> int:
-    """End the service: kill those of its processes that are still running, and write the stop to its port."""
+    """End the service: kill its remaining processes, and write the stop to its port."""
     misused = not _end_service()
     try:
         after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
@@ -254,9 +250,9 @@ def _every_service(reason: str, who: str) -> int:
 
 
 class Target:
-    """Decides to which port the stop is written, and for how long to try. The first of these that names a port decides:
-    the option --device, the file given with --config, a running service, the last run, the installed settings file, and
-    the default. The settings file is read only if it is needed. Only its settings about the stop are checked, because a
+    """Chooses the port for the stop, and how long to try. The port comes from the first of these that names one: the
+    option --device, the file given with --config, a running service, the last run, the installed settings file, and the
+    default. The settings file is read only if it is needed. Only its settings about the stop are checked, because a
     mistake in any other setting must not prevent the stop."""
 
     def __init__(self, arguments: Namespace) -> None:
@@ -271,40 +267,38 @@ class Target:
         """Mistakes in the settings file that have not been printed yet."""
         self._file_owner = 0
         self._unknown = False
-        """True if the settings file may name a port that this program does not know. There are three possible reasons:
-        the file can't be read, the file's value of device.path is not a valid port, or device.path is below the wrong
-        [table]."""
+        """True if the settings file may name a port that this program could not read from it. Either the file can't be
+        read, or its device.path is not a valid port, or device.path is below the wrong [table]."""
         self._known = ("", 0)
-        """The port that a running service reports, and the user of that service."""
+        """The port that a running service reports, and the uid of the user who runs that service."""
         self.asked: list[str] = []
         """The services that were asked to stop the robot, but have not confirmed it."""
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
-        """The port to which the stop was written because the port of the last run does not exist, and the uid of the
-        user whose settings file names the port. ("", 0) if the stop was not written this way."""
+        """The port to which the stop was written because the port of the last run could not be used, and the uid of the
+        user whose settings file names this port. ("", 0) if the stop was not written this way."""
         self._stopped = False
-        """True once a stop was written. If the user has described the board with Python code, that code may run only
-        after the stop was written. The code is needed to ask the board for an answer."""
+        """True once a stop was written. Only then may the user's own Python code for the board run. That code is needed
+        to ask the board for an answer."""
 
     def wanted(self) -> str:
-        """The port that the user has named, with an option or in the settings file given with --config. Empty if the
-        user has named no port."""
+        """Return the port that the user has named, with an option or in the file given with --config. Empty if there is
+        none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def learn(self, device: str, owner: int | None) -> None:
-        """Remember that a running service uses the port `device`. `owner`: the uid of the user who runs that
-        service."""
+        """Remember the port of a running service. `owner`: the uid of the user who runs that service."""
         if device and owner is not None and not self._known[0]:
             self._known = device, owner
 
     def device(self) -> str:
-        """The port to write to."""
+        """Return the port to write to."""
         return self._chosen()[0]
 
     def _chosen(self) -> tuple[str, int]:
-        """The port to write to, and the uid of the user whose file names the port. The uid is 0 if root's file or an
-        option names the port."""
+        """Return the port to write to, and the uid of the user whose file names the port. The uid is 0 if root's file
+        or an option names the port."""
         if self._instead[0]:
             return self._instead
         if named := self._given.get(DEVICE):
@@ -316,9 +310,9 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """The board at the port. Its kind comes from the last run if the last run used the same port, else from the
-        settings file. If the user has described the board with Python code, the code does not run before the stop is
-        written. Until then, this returns the stop bytes that the last run has saved."""
+        """Return the board at the port. Its kind comes from the last run if that run used the same port, else from the
+        settings file. Before the stop is written, this never runs the user's own Python code for a board, but returns
+        the stop that the last run has saved."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -334,23 +328,23 @@ class Target:
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def _named_kind(self) -> str:
-        """The kind of board that the last run has saved, if the last run used the chosen port. Otherwise the kind that
-        the settings file names, or "" if it names none."""
+        """Return the kind of board that the last run has saved, if it used the chosen port. Otherwise return the kind
+        that the settings file names, or "" if it names none."""
         if self._is_the_last_s():
             with contextlib.suppress(SettingError):
                 return str(BY_KEY[KIND].check(self._last.board))
         return str(self._file.get(KIND, ""))
 
     def _is_the_last_s(self) -> bool:
-        """True if the last run used the port that was chosen for the stop."""
+        """Return True if the last run used the port that was chosen for the stop."""
         return self._last.device == self.device()
 
     def assumes_kind(self) -> bool:
-        """True if the kind of board is not known, so that the stop of the default kind is written."""
+        """Return True if the kind of board is not known, so that the stop of the default kind is written."""
         return not self._named_kind()
 
     def described(self) -> str:
-        """The port as a text for people. If the port was chosen because the last run used it, the text says so."""
+        """Describe the port for people. If it was chosen because the last run used it, the text says so."""
         of = ", the port of the last run" if self._is_last() else ""
         return f"{self.device()}{of}"
 
@@ -358,8 +352,8 @@ class Target:
         return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
     def _guess(self) -> tuple[str, int]:
-        """The port that the settings file names, or else the default port. Also returns the uid of the user who owns
-        the file, or 0 for the default."""
+        """Return the port that the settings file names, and the uid of the file's owner. If it names none, return the
+        default port and 0."""
         return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
@@ -368,8 +362,8 @@ class Target:
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """The ids of the arm's servos, from the settings file and from the last run, if the last run used the chosen
-        port. Empty if the robot has no arm."""
+        """Return the ids of the arm's servos, from the settings file and from the last run, if the last run used the
+        chosen port. Empty if the robot has no arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
         found += self._last.servos if self._is_the_last_s() else ()
@@ -377,8 +371,8 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The settings in the settings file. If the stop needs a setting and its value is not allowed, the setting is
-        left out. Empty if the file does not exist or can't be read."""
+        """The settings in the settings file. If the stop needs a setting but its value is wrong, the setting is left
+        out. Empty if the file does not exist or can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -399,8 +393,8 @@ class Target:
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
         """Write the stop, trying for at most `most_s`. Returns the number of seconds until the stop was written.
-        `otherwise` is called after each failed try. It may stop the robot in another way, and returns True if it has
-        done so. Raises PortError."""
+        `otherwise` is called after each failed try. It returns True if it has stopped the robot in another way. Raises
+        PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -433,9 +427,9 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """Write the stop to the port that the settings file names, or to the default port. This is only tried if the
-        port of the last run can't be used, because the board may have got a new port when it was plugged in again.
-        Returns True if a stop was written."""
+        """Write the stop to the port that the settings file names, or to the default port. This is only tried after the
+        port of the last run, because the board may have got a new port when it was plugged in again. Returns True if a
+        stop was written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -447,13 +441,13 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """True if root refused to open the port. Root refuses if a user's file names the port, and either that user may
-        not open it or it is not a serial port. Otherwise a user could make root write to any device."""
+        """Return True if root refused to open the port that a user's file names, because the user may not open it or
+        because it is not a serial port. Otherwise a user could make root write to any device."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
-        """Ask the board for an answer, and print whether the board has answered. Returns True if this kind of board can
-        answer, but the board was silent. `patient`: as in stop_tool.answered()."""
+        """Ask the board for an answer, and print the result. Returns True if this kind of board can answer, but was
+        silent. `patient`: as in stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
             standard.print_line(
@@ -488,7 +482,7 @@ class Target:
             standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
-        """True if the stop was written to a port that was only guessed. Also prints a warning about it."""
+        """Return True, and print a warning, if the stop was written to a port that was only guessed."""
         if self._instead[0]:
             gone = f"{self._last.device}, the port of the last run, does not exist"
             standard.say(
@@ -507,8 +501,8 @@ class Target:
         return True
 
     def explained(self, error: PortError) -> str:
-        """The reason why no stop was written, and what to do. If a process holds the port and can be found, the text
-        names the process."""
+        """Return the reason why no stop was written, and what to do. If the process that holds the port can be found,
+        the text names it."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
             return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
@@ -530,8 +524,8 @@ class Target:
 
 
 def _end_service() -> bool:
-    """Kill (SIGKILL) the other processes of this service. If this process is not in the control group of the service,
-    this kills nothing and returns False."""
+    """Kill (SIGKILL) the other processes of this service. Unless the service's systemd unit runs this process, this
+    kills nothing and returns False."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(

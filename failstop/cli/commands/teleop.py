@@ -43,8 +43,8 @@ FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
 TURNS = {"[": -1, "]": 1}
-"""The keys that turn the chosen joint of the arm while they are held, each with its direction. You choose the joint
-with a digit."""
+"""The keys that turn the chosen joint of the arm while they are held, each with its direction. A digit chooses the
+joint."""
 KEYS = """\
 w s  \u2191 \u2193    forward, backward     space  STOP, latched
 a d  \u2190 \u2192    turn left, right      e      enable motion
@@ -69,8 +69,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. At the end, this program stops the wheels. It also disables motion, but only if it has enabled
-    motion itself. The exit code is 0 after q, else 128 plus the number of the signal."""
+    """Run the command. At the end it stops the wheels, and disables motion if it has enabled motion itself. Returns 0
+    after q, and 128 plus the signal's number after a signal."""
     SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
@@ -167,9 +167,9 @@ class Pilot:
         self._send(self.hold.pressed(moving, now_s), now_s)
 
     def _drop_old_note(self, state: State) -> None:
-        """Drop the note if the state has changed, because the note is about the old state. A note that was made since
-        the last call stays, because that note is about the new state. This also notices if motion was disabled since
-        the last call. If somebody else enables motion later, this program must not disable it when it ends."""
+        """Drop the note if the state has changed, unless the note was made since the last call. If motion was disabled
+        since then, this also forgets that this program has enabled motion. Somebody else may enable motion later, and
+        this program must not disable it when it ends."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -177,12 +177,12 @@ class Pilot:
         self._seen, self._told, self._asked = seen, self.note, self._asking()
 
     def _asking(self) -> bool:
-        """True while another thread is enabling motion, which takes seconds with an arm."""
+        """Return True while another thread is enabling motion."""
         return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
-        """Stop the wheels. If this program has enabled motion, this also disables motion. Returns a text that says what
-        was done. If the service can't be reached, its command timeout stops the wheels."""
+        """Stop the wheels, and disable motion if this program has enabled it. Returns a text that says what was done.
+        If the service can't be reached, its command timeout stops the wheels."""
         try:
             if self.enabled or self._asking():
                 return self.robot.disable()
@@ -203,8 +203,7 @@ class Pilot:
             self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
-        """Act on a key that does not move the robot. A key without a meaning counts as letting go of the motion
-        keys."""
+        """Act on a key that does not move the robot. An unknown key counts as letting go of the motion keys."""
         if key in STEPS_PERCENT:
             self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:
@@ -223,8 +222,8 @@ class Pilot:
                     self._asked = True
 
     def _enable(self) -> None:
-        """Enable motion, and remember that this program must disable motion when it ends. It remembers this before the
-        service answers, because the answer may get lost although the service has enabled motion."""
+        """Enable motion, and remember to disable it when this program ends. This is remembered before the service
+        answers, because the answer may get lost although the service has enabled motion."""
 
         def show(text: str) -> None:
             self.note = (text, PLAIN)
@@ -237,8 +236,8 @@ class Pilot:
             raise
 
     def _enable_beside(self) -> None:
-        """Enable motion in another thread. With an arm this takes seconds, and the space key must stop the robot
-        meanwhile."""
+        """Enable motion in another thread, because with an arm this takes seconds, and the space key must stop the
+        robot meanwhile."""
         with contextlib.suppress(NoService), self._noted():  # the next read of the state shows NoService too
             self._enable()
 
@@ -261,16 +260,16 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """The reason why a motion key must do nothing, or None if the key may drive. One possible reason is that the
-        wheels are stopped, for example because motion is disabled. The other reason is that another program commands as
-        the same source. A command would then latch a stop, because a source may have only one publisher."""
+        """Return the reason why a motion key must do nothing, or None if the key may drive. Either the wheels are
+        stopped, or another program commands as the same source. A second publisher of a source would latch a stop."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
         return (rival, WARN) if self._rival else None
 
     def holds(self, state: State) -> Span | None:
-        """A text about why the wheels are stopped, with the keys that help. None if the keys can drive the robot."""
+        """Return the reason why the wheels are stopped, with the keys that help. None if the keys can drive the
+        robot."""
         if any(process.state == "dead" for process in state.processes.values()):
             return "the service has died: if a wheel turns, use the POWER SWITCH; q leaves", FAIL
         first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
@@ -283,8 +282,8 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Send a command. If another program commands as the same source, this sends nothing, not even zero speed,
-        because a second publisher of a source latches a stop."""
+        """Send a command, but nothing if another program commands as the same source. A second publisher of a source
+        latches a stop, even if it commands zero speed."""
         if wanted is None or self._rival:
             return
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))
@@ -292,7 +291,7 @@ class Pilot:
         self.robot.drive(x, y, turn, manual=True, source=self.source)
 
     def lines(self, state: State, now_s: float, columns: int) -> list[Line]:
-        """The lines of the screen."""
+        """Return the lines of the screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
         keys = KEYS.format(slide=SLIDE if self._full[1] else "").splitlines()
@@ -318,8 +317,8 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """The lines about the arm and the chosen joint. The line about the joint shows the angle to which the joint was
-        sent. If the joint was not sent anywhere, the line shows the angle that was read."""
+        """Return the lines about the arm and the chosen joint. The joint's line shows the angle that the joint was sent
+        to, or else the angle that was read."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

@@ -26,14 +26,14 @@ LEAD = 2 + 10 + 2 + LABEL + 2
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
 """The words for the names in Incident.ages()."""
 LEAST_APART_NS = 100_000
-"""If two times of a stop differ by less than this, in ns, only one of the two times is shown."""
+"""The shortest time between two times of a stop for which both are shown, in ns."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
-    """The list of incidents, the newest last. Each has its id, time, cause, the proof of the stop, and a note if the
-    wall clock was set."""
+    """Return the list of incidents, the newest last. Each has its id, time, cause, the proof of the stop, and a note if
+    the wall clock was set."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
@@ -46,9 +46,9 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
-    """The lines about one incident: the facts, and the important part of the story, short enough to need no scrolling.
-    With `whole`, they have the whole story and the circumstances. `clock`: why the times of day in this incident may be
-    wrong; empty if they are right."""
+    """Return the lines about one incident: the facts, and the important part of the story, short enough to need no
+    scrolling. With `whole`, they have the whole story and the circumstances. `clock`: why the times of day in this
+    incident may be wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
@@ -59,8 +59,7 @@ def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False,
 
 
 def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
-    """Rows that begin with `lead`, followed by the text. From the second row on, the text is indented by the width of
-    `lead`."""
+    """Wrap a text into rows. The first row begins with `lead`, and the other rows are indented by its width."""
     return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
@@ -70,7 +69,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
 
 
 def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
-    """The facts: what happened and when, which process noticed it, and one line for each proof of the stop."""
+    """Return the facts: what happened and when, which process noticed it, and one line for each proof of the stop."""
     head = incident.head
     ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
@@ -107,8 +106,8 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _first_frame(incident: Incident) -> str:
-    """When the first bytes of the stop were written. Empty if the last bytes were written at almost the same time,
-    because the screen shows the time of the last bytes anyway."""
+    """Return a text with the time of the stop's first bytes. Empty if the last bytes were written at almost the same
+    time, because the screen shows their time anyway."""
     written_us = (incident.head["stop"] or {}).get("written_us")
     bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
     first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
@@ -118,7 +117,7 @@ def _first_frame(incident: Incident) -> str:
 
 
 def _before(incident: Incident) -> str:
-    """What was commanded before the cause, or for how long only zero was commanded."""
+    """Describe what was commanded before the cause, or for how long only zero was commanded."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -134,8 +133,8 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """What the board reported about its wheels at the time of the cause, and at the end of the file. Each time on the
-    screen is the time of a report, because nobody knows what the wheels did between two reports."""
+    """Describe what the board reported about its wheels at the time of the cause, and at the end of the file. Each time
+    is the time of a report, because nobody knows what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -161,8 +160,7 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
-    """The lines of the story. If the text of an event is too long for one row, the text is cut. With `whole`, the text
-    is wrapped to several rows instead."""
+    """Return the lines of the story. An event that is too long for one row is cut, or wrapped if `whole`."""
     found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE
@@ -178,12 +176,12 @@ def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
 
 
 def _when(incident: Incident, ns: int) -> str:
-    """How long before or after the cause this time is, in words."""
+    """Return how long before or after the cause this time is, in words."""
     return f"{words.took(abs(ns - incident.cause_ns) / 1e9)} {'before' if ns < incident.cause_ns else 'after'}"
 
 
 def _battery(incident: Incident) -> str:
-    """The last reading of the battery with its time, and the lowest reading."""
+    """Return the last reading of the battery with its time, and the lowest reading."""
     if not incident.battery_v:
         return memory.NOT_KNOWN
     ns, volts = incident.battery_v[-1]
@@ -192,15 +190,15 @@ def _battery(incident: Incident) -> str:
 
 
 def _ages(incident: Incident) -> str:
-    """How old each newest reading, for example of the battery, was at the time of the stop's cause."""
+    """Describe how old the newest reading of each kind was at the cause, for example of the battery."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
     return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """The circumstances: battery, readings, computer, settings and versions. They may help to find the cause if the
-    story does not explain it."""
+    """Return the circumstances: battery, readings, computer, settings and versions. They may help to find the cause if
+    the story does not explain it."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
     return [

@@ -3,8 +3,8 @@ argument.
 
 A terminal sends a key's bytes again and again while the key is held, and nothing when it is released. If several keys
 are held, it repeats only the last one. Each repeat becomes one command, and the service obeys a command for the command
-timeout (0.3 s). Only these commands keep the wheels turning. So the robot stops when the bytes end. That happens, for
-example, when the key is released, the connection is lost, or a program is suspended.
+timeout (0.3 s). So the robot stops when the bytes end, for example because the key is released, the connection is lost,
+or a program is suspended.
 
 If you press a key, the robot drives for one command timeout. Then the wheels stop until the terminal begins to repeat
 the key (after 250 to 660 ms). So a tap moves the robot a little. When you release a key, the timeout counts from its
@@ -20,10 +20,9 @@ SPACE = " "
 CTRL_D = "\x04"
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _PASTED = {"200": True, "201": False}
-"""The numbers of two escape sequences. A terminal that was asked to mark pasted text sends one before the text (True),
-and the other after the text (False)."""
+"""The numbers of the escape sequences that a terminal sends before (True) and after (False) pasted text."""
 _LONGEST = 64
-"""No escape sequence is longer than this many characters. Something longer is noise."""
+"""The longest escape sequence, in characters. Anything longer is noise."""
 _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=[^\[O]))", re.DOTALL)
 """Matches one of three things: a sequence `CSI parameters final`, which may be cut off by another character; an arrow
 key in application mode; or a single character."""
@@ -33,9 +32,11 @@ Velocity = tuple[float, float, float]
 
 class KeyDecoder:
     """Decodes a terminal's bytes into keys. A key is a character in lower case or the name of an arrow, such as `up`.
-    If only the first part of an escape sequence has arrived, the decoder keeps it until the rest arrives, however long
-    that takes. Otherwise the last letter of an arrow key's sequence would count as a key, and move the robot in a wrong
-    direction. For this reason the escape key is recognized only when another key follows."""
+
+    An incomplete escape sequence is kept until the rest arrives, however long that takes. Otherwise the last letter of
+    an arrow key's sequence would count as a key, and move the robot in a wrong direction. So the escape key itself is
+    recognized only when another key follows.
+    """
 
     def __init__(self) -> None:
         self._text = getincrementaldecoder("utf-8")("ignore")
@@ -70,39 +71,39 @@ AXES: dict[str, Velocity] = {
 COMMAND_S = 0.3
 """How long one command is valid by default, in seconds (setting gate.command_timeout_s)."""
 ENDS_S = 0.35
-"""A key counts as released this many seconds after its last repeat. Usually the service's command timeout stops the
-wheels earlier. If the settings have a longer timeout, the wheels stop because teleop then sends a command of zero."""
+"""How long after its last repeat a key counts as released, in seconds. Usually the service's command timeout stops the
+wheels earlier. If that timeout is longer, teleop's command of zero stops them."""
 LONGEST_DELAY_S = 0.8
-"""A terminal begins to repeat a held key before this time, in seconds."""
+"""The longest time until a terminal begins to repeat a held key, in seconds."""
 REPEAT_S = 0.15
-"""Two repeats of a held key are at most this far apart, in seconds."""
+"""The longest time between two repeats of a held key, in seconds."""
 NO_VELOCITY = (0.0, 0.0, 0.0)
 MOST_AT_ONCE = 5
-"""The largest number of motion keys that one read may contain. A terminal does not send more keys than this between two
-reads. If a read has more, the network has delayed the keys. Delayed keys are old, so they do not move the robot."""
+"""The largest number of motion keys in one read. If a read has more, the network has delayed the keys, so they are too
+old to move the robot."""
 
 
 class Hold:
-    """Uses the repeats of a motion key to decide whether the key is still held, and which command to send."""
+    """Decides from a motion key's repeats whether the key is still held, and which command to send."""
 
     def __init__(self) -> None:
         self.active = False
         """True while a motion key is held."""
         self.jerks = False
-        """True if the wheels stop for a moment after each press, although the key is held. This happens if the terminal
-        repeats the key for the first time only after the command has expired. This is known only after the key's second
-        repeat, because until then the person may have tapped the key twice."""
+        """True if the wheels stop for a moment after each press although the key is held, because the terminal begins
+        to repeat the key too late. This is known only after the second repeat, because until then the person may have
+        tapped the key twice."""
         self._until_s = 0.0
         """When the held key counts as released if the terminal sends no further repeat (same clock as `now_s`)."""
         self._last = ("", 0.0)
         """The last motion key, and when it came."""
         self._late = False
-        """True if the last key may have been a late first repeat. It is the same key as the key before it, and it came
-        after that key's command had expired, but within LONGEST_DELAY_S."""
+        """True if the last key may have been the first repeat of a held key, and came after the key's command had
+        expired."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """The command to send after `keys` were typed. `keys` is empty if no key was typed. Each axis of the command is
-        between -1 and 1. Returns None if there is nothing to send."""
+        """Return the command to send after `keys` were typed, with each axis between -1 and 1. `keys` is empty if no
+        key was typed. None if there is nothing to send."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()
@@ -117,7 +118,6 @@ class Hold:
         return AXES[key]
 
     def let_go(self) -> Velocity | None:
-        """Forget the held key. Returns zero velocity if a key was held, because teleop must then send a command of
-        zero. Returns None if no key was held."""
+        """Forget the held key. Returns zero velocity, which teleop must then send, or None if no key was held."""
         was_active, self.active = self.active, False
         return NO_VELOCITY if was_active else None

@@ -34,7 +34,7 @@ KIND_COLUMNS = max(len(kind.name) for kind in EVENT_KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
-    """The lines of the screen. `now_s`: the Unix time, from which ages are computed. `columns`: the width of the
+    """Return the lines of the screen. `now_s`: the Unix time, from which ages are computed. `columns`: the width of the
     terminal. `events`: the events of this run, the oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
@@ -60,7 +60,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
 
 
 def row(label: str, text: str, role: str = PLAIN) -> Line:
-    """A row of the screen: the name at the left, and the text."""
+    """Return a row of the screen: the name at the left, and the text."""
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
@@ -70,7 +70,7 @@ def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
 
 
 def headline(state: State) -> Line:
-    """One line about what the wheels do, and why."""
+    """Return one line about what the wheels do, and why."""
     word = verdict.word(state)
     role = FAIL if state.cause else WORDS.get(word, WARN)
     if verdict.unproven(state) and role == OK:
@@ -79,7 +79,7 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """The lines about the wheels: the headline, what is observed of the wheels, and the next command to type."""
+    """Return the lines about the wheels: the headline, what is observed of the wheels, and the next command to type."""
     rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -87,14 +87,14 @@ def wheels(state: State) -> list[Line]:
 
 
 def observed(state: State) -> Line:
-    """What is observed of the wheels, and how old that reading is."""
+    """Return a row about what is observed of the wheels, and how old that reading is."""
     role = FAIL if verdict.doubt(state) else WARN if verdict.unseen(state) else PLAIN
     text = "; ".join(filter(None, (seen.now(state), verdict.unreached(state))))
     return row("seen", text, role)
 
 
 def commands(text: str) -> Line:
-    """A text as a line in which the commands in backquotes are highlighted."""
+    """Convert a text to a line in which the commands in backquotes are highlighted."""
     return [(part, STRONG if number % 2 else PLAIN) for number, part in enumerate(re.split("(`[^`]*`)", text))]
 
 
@@ -110,8 +110,9 @@ def _drivers(state: State) -> list[Line]:
 
 
 def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> list[Line]:
-    """What stopped the wheels last. For a latched stop, its three proofs. `unlatched`: what stopped them after the last
-    latched stop (verdict.unlatched); that stop is then an earlier one, and its times say nothing about this one."""
+    """Return the rows about the last stop, with its three proofs if it was latched. `unlatched`: the event that stopped
+    the wheels after the last latched stop (verdict.unlatched). The rows then show the latched stop only as an earlier
+    one, because its proofs say nothing about the last stop."""
     stop = state.last_stop
     if unlatched:
         told = [*row("last stop", unlatched.what, WARN), (f" ({words.ago(unlatched.t, now_s)})", DIM)]
@@ -130,7 +131,7 @@ def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> lis
 
 
 def device(state: State) -> Line:
-    """The row about the port, and what proves that the board receives commands."""
+    """Return the row about the port, and what proves that the board receives commands."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
@@ -140,7 +141,7 @@ def device(state: State) -> Line:
 
 
 def battery(state: State) -> Line:
-    """The row about the battery: its voltage, and whether a charger is plugged in."""
+    """Return the row about the battery: its voltage, and whether a charger is plugged in."""
     if not state.battery_v:
         return row("battery", "not reported by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
@@ -157,7 +158,7 @@ def _sensors(state: State) -> Line:
 
 
 def processes(state: State) -> list[Line]:
-    """The rows of the process table."""
+    """Return the rows of the process table."""
     heads = ("process", " pid", "state", " beat", " worst", " restarts", "rights")
     rows: list[Line] = [[(head, DIM) for head in heads]]
     for name, process in state.processes.items():
@@ -175,7 +176,7 @@ def processes(state: State) -> list[Line]:
 
 
 def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
-    """Rows with remarks about the processes, in words."""
+    """Return rows with remarks about the processes, in words."""
     found: list[Line] = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
@@ -190,14 +191,14 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
 
 
 def event(told: Event, now_s: float) -> Line:
-    """An event as one line for people: its time, its kind, its text."""
+    """Return an event as one line for people: its time, its kind, its text."""
     role = LEVEL_STYLES.get(told.level, PLAIN)
     when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
     return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]
 
 
 def arm_headline(arm: ArmState) -> str:
-    """A text about what the arm does."""
+    """Describe what the arm does."""
     if arm.mode:
         return f"{arm.mode} for {arm.by}{f', {arm.phase}' if arm.phase else ''}"
     if arm.released:
@@ -208,7 +209,7 @@ def arm_headline(arm: ArmState) -> str:
 
 
 def _holding(arm: ArmState) -> str:
-    """A text that says whether the arm's torque is on, according to the reports of its joints."""
+    """Describe whether the arm's torque is on, according to its joints' reports."""
     torques = {joint.torque for joint in arm.joints.values()}
     loose = [name for name, joint in arm.joints.items() if joint.torque is False]
     if True in torques:

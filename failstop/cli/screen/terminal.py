@@ -26,14 +26,14 @@ ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
 """Switches to the alternate screen, hides the cursor, and asks the terminal to mark pasted text."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-"""The signals that end the command. Ctrl-Z also ends the command and does not suspend it, because nobody would drive or
+"""The signals that end the command. Ctrl-Z ends the command instead of suspending it, because nobody would drive or
 attend the robot while the command is suspended."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """The terminal of a live command, as a context manager. The handler of a signal that ends the command only stores
-    the signal's number in `ended`. The command ends when turns() finds this number."""
+    """Shows a live command on the terminal. Use it as a context manager. A signal that ends the command is only noted
+    in `ended`, and then turns() ends."""
 
     def __init__(self) -> None:
         """Raises FailstopError if standard output is not a terminal, or if the terminal does not understand escape
@@ -44,7 +44,7 @@ class Terminal:
             term = os.environ.get("TERM", "")
             raise FailstopError(f"this command needs a terminal that can draw a screen, but TERM is {term!r}")
         self._shown: list[str] | None = None
-        """The lines that are on the screen. None if that is not known, so that all must be drawn."""
+        """The lines on the screen. None if they are not known, so that all lines must be drawn."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
@@ -84,7 +84,7 @@ class Terminal:
             self.rows = max(2, size.lines or 24)
 
     def write(self, text: str) -> None:
-        """Write a text to the terminal. If that fails, the terminal was closed, and the command ends as after
+        """Write a text to the terminal. If that fails, the terminal was closed, so the command ends as it does after
         SIGHUP."""
         data = text.encode(sys.stdout.encoding or "ascii", "replace")
         try:
@@ -94,7 +94,7 @@ class Terminal:
             self.ended = self.ended or signal.SIGHUP
 
     def writable(self) -> bool:
-        """True if the terminal can take more bytes at once."""
+        """Return True if the terminal can take more bytes at once."""
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
@@ -134,8 +134,8 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """The text to write to the terminal so that it shows `rows`. `before`: the rows that the terminal shows at present,
-    or None if they are not known. The rows must fit on the screen."""
+    """Return the text that makes the terminal show `rows`, which must fit on the screen. `before`: the rows that the
+    terminal shows at present, or None if they are not known."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):
