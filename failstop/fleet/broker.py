@@ -1,4 +1,4 @@
-"""Broker: a connection to the MQTT broker that is made again whenever it breaks. It uses paho-mqtt without its
+"""Broker: a connection to the MQTT broker, which is made again whenever it breaks. It uses paho-mqtt without its
 threads."""
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ CONNECT_S = 3.0
 """How long an attempt to connect may take, s."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
-"""The longest wait between two attempts to connect, s. Each wait is twice as long as the previous wait, but never
-longer than this."""
+"""The longest wait between two attempts to connect, s. Each wait is twice as long as the previous one, up to this
+limit."""
 SPREAD = 0.2
 """The share by which each wait is made longer or shorter at random. Otherwise all robots would connect at the same
 moment after a restart of the broker."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
-"""The longest time until a client has connected again to the broker, s, once the client can reach the broker."""
+"""How long a client may take to connect again once it can reach the broker, s."""
 NOT_YET = "not connected yet"
 NO_REASON = "Unspecified error"
 """The reason that paho-mqtt reports if the broker closes a connection without giving a reason."""
@@ -44,26 +44,25 @@ BACKLOG = 200
 """How many messages of this client may wait to be sent to the broker. A small number is enough, because a new message
 about the robot's state makes the older messages useless."""
 MOST_READS = 16
-"""How often one turn() may read from the connection, up to client.READ_BYTES each time. So a flood of messages leaves
-time for other work."""
+"""How often one turn() may read from the connection, up to client.READ_BYTES each time. The limit leaves time for other
+work during a flood of messages."""
 CLOSE_S = 1.0
 """How long to wait for the broker to end the connection after this client has sent its goodbye, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long one call of deliver() may hand on messages if it begins with the newest, s. When the time is over, it drops
-the messages that are left, which are the oldest."""
+"""How long one call of deliver() may hand on messages, newest first, s. Then it drops the remaining messages, which are
+older."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""
 ANYHOW = 0
-"""MQTT's quality of service 0: any number of messages can be sent, but messages are lost if the connection breaks. All
-subscriptions use it, so the broker never has to wait for this client to acknowledge a message, even if somebody floods
-a topic."""
+"""MQTT's quality of service 0: the number of messages is not limited, but they are lost if the connection breaks. All
+subscriptions use it, so the broker never waits for this client's acknowledgements, even in a flood of messages."""
 
 
 class Broker:
-    """A connection to the broker. Call turn() again and again: it makes the connection, keeps it alive, and hands on
-    messages. `problem` says why there is no connection, and is empty while there is one."""
+    """Connects to the broker, keeps the connection alive, and hands on messages. Call turn() in a loop. `problem` says
+    why there is no connection. It is empty while there is one."""
 
     def __init__(
         self,
@@ -155,16 +154,16 @@ class Broker:
             self.client.publish(topic, payload, qos=qos, retain=retain)
 
     def connected_s(self) -> float:
-        """How long the present connection has existed, s. 0 without a connection."""
+        """Return how long the present connection has existed, s. 0 without a connection."""
         return 0.0 if self.problem else time.monotonic() - self.up_s
 
     def fileno(self) -> int:
-        """The file descriptor of the connection, for poll(). -1 without a connection."""
+        """Return the file descriptor of the connection, for poll(). -1 without a connection."""
         found = self.client.socket()
         return found.fileno() if found else -1
 
     def wants_write(self) -> bool:
-        """True while bytes wait to be sent."""
+        """Return True while bytes wait to be sent."""
         return bool(self.client.want_write())
 
     def turn(self, timeout_s: float) -> None:
@@ -262,8 +261,7 @@ class Broker:
         self.client.drop()
 
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
-        """Prepare a new connection. Small messages are sent at once, because otherwise the kernel would wait 40 ms for
-        more bytes to send with them."""
+        """Prepare a new connection. Without TCP_NODELAY, the kernel would hold back small messages for 40 ms."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.client.wire = MqttWire()
 
@@ -292,8 +290,8 @@ class Broker:
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
-    """Raise FleetError if the file can't be read. The error's message names the setting and the file. Without this
-    check, TLS would raise an error that names neither."""
+    """Raise FleetError if the file can't be read. The message names the setting and the file, because the error that
+    TLS raises names neither."""
     if not path:
         return
     try:
@@ -303,8 +301,8 @@ def _check_readable(key: str, path: str, credential: str) -> None:
 
 
 def read_secret(path: str) -> str:
-    """The first line of a file with a password. Raises FleetError if every user may read the file, or if it can't be
-    read."""
+    """Return the first line of a file with a password. Raises FleetError if every user may read the file, or if it
+    can't be read."""
     try:
         fd = durable.open_regular(path)
         try:

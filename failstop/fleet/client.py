@@ -17,8 +17,8 @@ class Client(client.Client):
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Give paho-mqtt the next received bytes. The bytes of messages are not among them, because the messages stay
-        in `wire`. If no bytes are left, this reads the connection once."""
+        """Return the next received bytes to paho-mqtt, without the messages, which stay in `wire`. If no bytes are
+        left, this reads the connection once."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:
@@ -29,13 +29,13 @@ class Client(client.Client):
         return self.wire.read(bufsize)
 
     def buffered(self) -> bool:
-        """True while there are received bytes that poll() does not report, because `wire` or TLS has read them from the
-        connection already."""
+        """Return True while there are received bytes that poll() does not report, because `wire` or TLS has read them
+        from the connection already."""
         found = self.socket()
         return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)
 
     def waits(self) -> bool:
-        """True while the broker must still acknowledge a message of this client."""
+        """Return True while the broker must still acknowledge a message of this client."""
         return bool(self._out_messages)
 
     def drop(self) -> None:

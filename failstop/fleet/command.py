@@ -118,8 +118,7 @@ def _publish(arguments: Namespace) -> int:
 
 
 def _status(deaf: str, doubled: str) -> str:
-    """The status of this robot's publisher, in the form that systemd wants. `systemctl status` shows it, and `failstop
-    doctor` reads it."""
+    """Return the status of this robot's publisher in systemd's format, for `systemctl status` and `failstop doctor`."""
     if deaf:
         return f"STATUS=obeys no fleet stop: {words.printable(deaf)}\nERRNO={errno.ENOTCONN}"
     if doubled:
@@ -140,7 +139,7 @@ def _config(_: Namespace) -> int:
 
 
 def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
-    """An empty roster, and the broker connection that fills it with robots."""
+    """Return an empty roster, and the broker connection that fills it with robots."""
     roster = Roster()
 
     def hear(topic: str, payload: bytes, retained: bool) -> None:
@@ -199,8 +198,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _blind(broker: Broker) -> str:
-    """The reason why robots may be missing from the screen: the broker does not let this client read some topics. Empty
-    if the client may read all of them."""
+    """Return a warning that robots may be missing from the screen, because the broker does not let this client read
+    some topics. Empty if the client may read all topics."""
     denied = " and ".join(broker.denied)
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
@@ -228,8 +227,8 @@ def _stop(arguments: Namespace) -> int:
 
 
 class Progress:
-    """A line on the terminal that shows how many robots have confirmed a stop. It is updated in place. If stderr is not
-    a terminal, nothing is shown."""
+    """Shows on the terminal, in a line that is updated in place, how many robots have confirmed a stop. Shows nothing
+    if stderr is not a terminal."""
 
     def __init__(self, stopping: Sender) -> None:
         self._stopping = stopping
@@ -259,8 +258,8 @@ class Progress:
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
     """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, this waits for a
-    message of the robot. The broker's report alone proves nothing. If a robot is switched off while the broker is down,
-    the broker reports it as connected forever."""
+    message of the robot, because the broker's report alone proves nothing. If a robot is switched off while the broker
+    is down, the broker reports it as connected forever."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

@@ -61,12 +61,11 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """True if the service has obeyed the request of this fleet stop. `stop` is the service's last stop. Usually the
-        request has made a new stop, so the epoch of `stop` is newer than the request.
+        """Return True if the service has obeyed this fleet stop. `stop` is the service's last stop. Usually it is a new
+        stop, so its epoch is newer than the service's epoch before the request.
 
-        If a stop was latched already before the request, the service keeps the latched stop and makes no new one. In
-        that case two things must be true. The service's epoch must have grown, which shows that the service has
-        received the request. And the service must still hear the board.
+        If a stop was latched already, the service makes no new one. Then its epoch must have grown, which shows that
+        the service has received the request. It must also still hear the board, if the board can answer.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s
@@ -76,14 +75,14 @@ class Duty:
         )
 
     def open(self, now_s: float) -> bool:
-        """True until the robot has all proofs of this stop (written, acknowledged, observed), but for at most
+        """Return True until the robot has all proofs of this stop (written, acknowledged, observed), but for at most
         FOLLOWED_S."""
         return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
 
 
 def confirming(state: State) -> str:
-    """The level at which a fleet stop counts as confirmed on this robot. If the robot's board can answer, the level is
-    ACKNOWLEDGED. For any other board it is OBSERVED if the robot has an IMU, and WRITTEN if not."""
+    """Return the level that confirms a fleet stop on this robot. It is ACKNOWLEDGED if the board can answer, else
+    OBSERVED if the robot has an IMU, else WRITTEN."""
     if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
@@ -125,9 +124,8 @@ class Duties:
         return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
-        """The answer to a stop that its sender repeats. If this program was restarted after it had requested the stop,
-        the answer says only that the stop was requested. None if the last answer to this stop was sent only a moment
-        ago."""
+        """Return the answer to a stop that its sender repeats. If this program was restarted after it had requested the
+        stop, the answer says only that the stop was requested. None if the last answer was sent only a moment ago."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -136,8 +134,8 @@ class Duties:
         return self._answer(duty, now_s)
 
     def failed(self, order: Order, problem: str) -> StopAnswer:
-        """The answer to a stop that could not be requested. The stop still counts as new, so the robot requests it
-        again when the sender repeats the stop."""
+        """Return the answer to a stop that could not be requested. The stop still counts as new, so the robot requests
+        it again when the sender repeats the stop."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
@@ -151,8 +149,8 @@ class Duties:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """The answers that must be sent now, because a stop has reached a new level or has not been answered yet. The
-        first answer to a stop says that the stop was requested, and has all levels that are known by then."""
+        """Return the answers that must be sent now, because a stop has reached a new level or has not been answered
+        yet. The first answer has all levels that are known by then."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
@@ -162,12 +160,11 @@ class Duties:
         return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
-        """True while this robot watches the progress of any stop (see Duty.open())."""
+        """Return True while this robot watches the progress of any stop (see Duty.open())."""
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """True while a stop that is being watched is not confirmed. The sender of the stop waits for the
-        confirmation."""
+        """Return True while a stop that is being watched is not confirmed, so that its sender is waiting."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

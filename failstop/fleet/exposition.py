@@ -29,7 +29,7 @@ class Collector:
         self._lock = threading.Lock()
 
     def state(self) -> State | None:
-        """The service's present state. None if no service is running."""
+        """Return the service's present state. None if no service is running."""
         with self._lock:
             for _ in range(2):  # if the run that was read has ended, try the next run
                 try:
@@ -41,7 +41,7 @@ class Collector:
         return None
 
     def collect(self) -> Iterator[Metric]:
-        """The metrics, in the form that prometheus_client's registry wants."""
+        """Yield the metrics in the form that prometheus_client's registry wants."""
         from prometheus_client.core import Metric
 
         for family, samples in metrics.collect(self.state()):
@@ -53,7 +53,7 @@ class Collector:
 
 
 def registry(name: str) -> CollectorRegistry:
-    """A registry with only this service's metrics. Raises FleetError if prometheus_client is not installed."""
+    """Return a registry with only this service's metrics. Raises FleetError if prometheus_client is not installed."""
     try:
         from prometheus_client import CollectorRegistry
     except ImportError:
@@ -64,7 +64,7 @@ def registry(name: str) -> CollectorRegistry:
 
 
 def text(name: str) -> str:
-    """The metrics of this service, in Prometheus's text format. Raises FleetError."""
+    """Return the metrics of this service in Prometheus's text format. Raises FleetError."""
     found = registry(name)
     from prometheus_client import generate_latest
 
@@ -90,8 +90,7 @@ def serving(name: str, host: str, port: int) -> Iterator[int]:
 
 
 def address(text: str) -> tuple[str, int]:
-    """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. If the host is missing, this returns 127.0.0.1 as the
-    host. Raises FleetError."""
+    """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. The default host is 127.0.0.1. Raises FleetError."""
     host, colon, port = text.rpartition(":")
     if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
         raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")

@@ -43,7 +43,7 @@ class Order:
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """The signed message. A long reason is cut, so that robots accept the message."""
+        """Return the signed message. A long reason is cut, so that robots accept the message."""
         body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP_PURPOSE, body)
 
@@ -67,19 +67,18 @@ class StopAnswer:
     why: str = ""
     """Why the stop was refused or has failed. Otherwise empty."""
     confirms: str = ACKNOWLEDGED
-    """The level that confirms the stop on this robot. It depends on whether the robot's board can answer, and whether
-    it has an IMU."""
+    """The level that confirms the stop on this robot (see duties.confirming())."""
     publisher: str = ""
     """The random number of the robot's publisher (twins.py). Empty if the robot has an old version of failstop, whose
     publisher draws no number."""
     doubled: bool = False
     """True if the robot's publisher knows that a second publisher uses the robot's name."""
     connected_s: float = 0.0
-    """How long the publisher has been connected to the broker, s. The broker has been running for at least the same
-    time."""
+    """How long the publisher has been connected to the broker, s. The broker has been running for at least that
+    long."""
 
     def message(self, key: bytes) -> bytes:
-        """The signed message."""
+        """Return the signed message."""
         body: dict[str, Any] = {"id": self.id, "robot": self.robot, "reached": self.reached}
         body |= {"why": self.why, "confirms": self.confirms}
         body |= {"publisher": self.publisher, "doubled": self.doubled, "connected_s": self.connected_s}

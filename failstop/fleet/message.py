@@ -49,7 +49,7 @@ class Header:
         self._sent: dict[str, int] = {}
 
     def topic(self, last: str) -> str:
-        """This robot's topic that ends with `last`."""
+        """Return the topic of this robot that ends with `last`."""
         return topics.of_robot(self.fleet, self.robot, last)
 
     def message(self, last: str, body: Message, unix_s: float) -> bytes:
@@ -67,22 +67,22 @@ class Header:
 
 
 def date(found: object) -> float | None:
-    """The value of a message's field `t`, as Unix time, s. None if it is not a date."""
+    """Return the value of a message's field `t`, as Unix time, s. None if it is not a date."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not 0.0 <= found <= LATEST_S:
         return None
     return float(found)
 
 
 def connection(state: str, period_s: float | None = None, heard: Sequence[str] = ()) -> Message:
-    """The body of a connection message. `state`: ONLINE, OFFLINE or LOST. `period_s`: the longest time between two
-    state messages, s. `heard`: the numbers of other publishers that use this robot's name (twins.py)."""
+    """Return the body of a connection message. `state`: ONLINE, OFFLINE or LOST. `period_s`: the longest time between
+    two state messages, s. `heard`: the numbers of other publishers that use this robot's name (twins.py)."""
     period = {} if period_s is None else {"state_period_s": period_s}
     return {"connection": state, **period, **({"heard": list(heard)} if heard else {})}
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
-    """The body of a state message. If no service is running, `state` is None, and `note` says why. `extra`: errors of
-    the publisher itself."""
+    """Return the body of a state message. If no service is running, `state` is None, and `note` says why. `extra`:
+    errors of the publisher itself."""
     if state is None:
         error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
         words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
@@ -105,14 +105,13 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 
 def steady(found: Message) -> Message:
-    """The fields of a state message that change rarely. Fields with speeds, the battery's voltage or ages are left
-    out."""
+    """Return the fields of a state message that change rarely, without speeds, ages and the battery's voltage."""
     changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
     return {key: value for key, value in found.items() if key not in changing}
 
 
 def why(state: State) -> str:
-    """One line that says what the wheels do, or why they don't move."""
+    """Return one line that says what the wheels do, or why they don't move."""
     if doubt := verdict.doubt(state):
         return doubt
     blocked = str(state.cause) if state.cause else state.blocked
@@ -122,12 +121,12 @@ def why(state: State) -> str:
 
 
 def warning(kind: str, text: str, then: str) -> Message:
-    """A warning about the publisher itself. `then`: what to do about it."""
+    """Return a warning about the publisher itself. `then`: what to do about it."""
     return _error(kind, WARNING, text, then)
 
 
 def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """These values as JSON fields. Infinities and NaN are left out, because JSON doesn't have them."""
+    """Return these values as JSON fields, without infinities and NaN, because JSON doesn't have them."""
     return {name: round(value, 4) for name, value in named if math.isfinite(value)}
 
 
@@ -159,7 +158,7 @@ def _errors(state: State) -> list[Message]:
 
 
 def _seen(state: State) -> Message:
-    """What is observed of the wheels, as JSON fields."""
+    """Return what is observed of the wheels, as JSON fields."""
     known = state.turning
     found: Message = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
     if known.age_s is not None:
@@ -171,7 +170,7 @@ def _seen(state: State) -> Message:
 
 
 def _proofs(stop: Stop) -> Message:
-    """The last stop, with the proofs that are known."""
+    """Return the last stop, with the proofs that are known."""
     found = {
         "cause": stop.cause.kind.name,
         "reason": stop.reason,

@@ -43,8 +43,8 @@ class Family:
 
 
 def collect(state: State | None) -> Iterator[tuple[Family, list[Sample]]]:
-    """All metrics that have samples. `state`: the service's state, or None if no service is running or it does not
-    answer."""
+    """Yield all metrics that have samples. `state`: the service's state, or None if no service is running or it does
+    not answer."""
     yield UP, [((), float(state is not None))]
     if state is not None:
         for family in FAMILIES[1:]:
@@ -61,12 +61,12 @@ def _each(label: str, values: dict[str, float]) -> list[Sample]:
 
 
 def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
-    """A sample for each name: 1 for the name that equals `now`, and 0 for all others."""
+    """Return a sample for each name: 1 for the name that equals `now`, and 0 for all others."""
     return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
 
 
 def _ages(state: State) -> list[Sample]:
-    """The age of each kind of reading. A kind without a reading has no sample."""
+    """Return the age of each kind of reading. A kind without a reading has no sample."""
     ages = state.ages
     named = {
         "board": ages.board_s,
@@ -112,8 +112,8 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """The measured speed of each wheel. There are no samples if the reading is old, because the speeds may have changed
-    since then."""
+    """Return the measured speed of each wheel. Empty if the reading is old, because the speeds may have changed since
+    then."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []
@@ -302,7 +302,7 @@ UP = FAMILIES[0]
 
 
 def markdown() -> list[str]:
-    """The lines of the metrics table in docs/fleet.md."""
+    """Return the lines of the metrics table in docs/fleet.md."""
     rows = ["| metric | kind | labels | what it says |", "|---|---|---|---|"]
     for family in FAMILIES:
         labels = ", ".join(f"`{label}`" for label in family.labels)

@@ -52,8 +52,8 @@ LAST_LOOK_S = 0.1
 """The time between two looks while a fleet stop is confirmed but not all of its proofs are known, s. It is longer than
 BUSY_LOOK_S, because the sender of the stop no longer waits for this robot."""
 BUSY_STATE_S = 1.0
-"""The time between two state messages during a fleet stop, s. It is long, because the answers to the stop matter more
-than the state. If a thousand robots sent states and answers at the same time, the answers would arrive later."""
+"""The time between two state messages during a fleet stop, s. It is long, because the state messages of a thousand
+robots would delay their answers to the stop."""
 FIRST_LOOK_S = 0.003
 """How long after requesting a stop to look for the first time, s. By then the service has usually written the stop, so
 the first answer can already say so."""
@@ -63,8 +63,8 @@ MOST_EVENTS = 20
 """How many events are published at one look. If there are more new events, only the newest are published, but the
 journal has all of them."""
 FORGED_S = 60.0
-"""How long the publisher reports a forged stop as an error after the stop has arrived, s. A forged stop is one that was
-not signed with the fleet's key."""
+"""How long a forged stop is reported as an error after it has arrived, s. A forged stop is one that was not signed with
+the fleet's key."""
 CLOSE_S = 1.5
 """How long the broker may take to confirm that this publisher has ended, s."""
 SEEN = "fleet-stops.json"
@@ -72,7 +72,7 @@ NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """The robot's service on this computer. It is found again after a restart."""
+    """Reads the robot's service on this computer, and requests stops. It finds the service again after a restart."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -80,7 +80,7 @@ class Service:
         self._log: EventLog | None = None
 
     def read(self) -> tuple[State | None, str]:
-        """Returns (the present state, ""), or (None, the reason why there is no state)."""
+        """Return (the present state, ""), or (None, the reason why there is no state)."""
         note = ""
         for _ in range(2):  # if the run that was read has ended, try the next run
             try:
@@ -92,7 +92,7 @@ class Service:
         return None, note
 
     def events(self) -> list[Event]:
-        """The events since the last call."""
+        """Return the events since the last call."""
         try:
             self._log = self._log or EventLog(self.name)
             return self._log.read()
@@ -141,8 +141,8 @@ class Publisher:
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
         self._word = message.ONLINE
-        """The state of this robot's connection, message.ONLINE or OFFLINE. The publisher publishes the state each time
-        it connects to the broker."""
+        """The state of this robot's connection, message.ONLINE or OFFLINE. It is published at each new connection to
+        the broker."""
         # The number makes the client's name unique. Otherwise two robots of one name would end each other's connection.
         name = f"failstop-{robot_id}-{self.number}"
         wanted = (*self._stop_topics(), self._connection_topic)
@@ -153,8 +153,8 @@ class Publisher:
         return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
-        """Wait for a message from the broker, but at most `longest_s`, and not after the time of the next look. Then
-        handle the messages that have arrived, and call look()."""
+        """Wait for a message from the broker until the next look is due, but at most `longest_s`. Then handle the
+        messages that have arrived, and call look()."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         # With a second publisher of this name this is not logged: they may end each other's connection every second.
@@ -172,7 +172,7 @@ class Publisher:
         self.look(time.monotonic())
 
     def look(self, now_s: float) -> None:
-        """Publish what has changed. If the time of the next look has not come yet, this does nothing."""
+        """Publish what has changed, if the next look is due."""
         if now_s < self._look_at_s:
             return
         if self.twins.again:
@@ -196,7 +196,7 @@ class Publisher:
                 self._publish_event(event)
 
     def deaf(self) -> str:
-        """Why this robot would not obey a fleet stop at this moment. Empty if the robot would obey a fleet stop."""
+        """Return the reason why this robot would not obey a fleet stop now. Empty if it would."""
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
@@ -204,7 +204,7 @@ class Publisher:
         return f"the broker does not let this robot read {denied}: check its access list" if denied else ""
 
     def doubled(self) -> str:
-        """If another publisher uses this robot's name, a text that says so and what to do. Otherwise empty."""
+        """Return a warning if another publisher uses this robot's name, with what to do. Otherwise empty."""
         if not self.twins.others:
             return ""
         return (
@@ -214,7 +214,7 @@ class Publisher:
         )
 
     def busy(self, now_s: float) -> bool:
-        """True while the progress of a fleet stop is being watched."""
+        """Return True while the progress of a fleet stop is being watched."""
         return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
@@ -269,8 +269,8 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
-        """The errors that concern the publisher itself. They are published along with the errors of the robot's
-        service. For example, this robot would ignore a fleet stop, or somebody sends forged stops."""
+        """Return the errors of the publisher itself, for example that somebody sends forged stops. They are published
+        along with the errors of the robot's service."""
         found = []
         if off := self._off or self._denied():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
@@ -323,8 +323,8 @@ class Publisher:
         self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # if this answer is lost, the sender asks again
 
     def _remember(self) -> None:
-        """Save the ids of obeyed stops, so that a restart does not forget them. If the file can't be written, this only
-        logs the error, because the robot must keep obeying stops."""
+        """Save the ids of obeyed stops, so that a restart does not forget them. If the file can't be written, only log
+        the error, because the robot must keep obeying stops."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())
@@ -336,7 +336,7 @@ class Publisher:
 
 
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
-    """Returns (the fleet's key, ""), or (b"", the reason why there is no key)."""
+    """Return (the fleet's key, ""), or (b"", the reason why there is no key)."""
     try:
         return signed.read_key(settings.secret("stop.key_file", KEY)), ""
     except FleetError as error:
@@ -345,9 +345,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """The stops that were obeyed earlier, read from their file. If the file can't be read, this program forgets these
-    stops. Somebody who has recorded such a stop could then make the robot obey it again, until the stop's date is older
-    than the tolerance."""
+    """Read the stops that were obeyed earlier from their file. If the file can't be read, a stop that somebody has
+    recorded could work again, until its date is older than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:
@@ -360,8 +359,7 @@ def _remembered(path: str, tolerance_s: float) -> Seen:
 
 
 def store(name: str) -> str:
-    """The folder of the file with the stops that were obeyed. This makes the folder if it does not exist. Raises
-    FleetError."""
+    """Return the folder of the file with the obeyed stops, and make it if it does not exist. Raises FleetError."""
     path = state_directory(name, os.environ)
     try:
         os.makedirs(path, exist_ok=True)

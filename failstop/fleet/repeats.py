@@ -8,7 +8,7 @@ MANY_AGAIN_S = 1.5
 """The time between two sendings of a fleet stop while many robots have not confirmed it, s. It is longer than AGAIN_S,
 because every robot answers each time it receives the stop."""
 MANY = 100
-"""If more robots than this number have not confirmed the stop, MANY_AGAIN_S applies."""
+"""MANY_AGAIN_S applies while more robots than this have not confirmed the stop."""
 LATEST_S = 4.5
 """The longest time between two sendings of a stop, s. While many robots are missing and answers still arrive, the next
 sending is postponed, but not longer than this. A thousand robots need two seconds to answer once. They would need four
@@ -16,7 +16,7 @@ seconds if the stop was sent again in between, because they would answer twice."
 
 
 class Repeats:
-    """Decides when the stop must be sent. A new object says that the stop must be sent now."""
+    """Decides when the stop must be sent. The first sending is due at once."""
 
     def __init__(self) -> None:
         self._due_s = self._latest_s = 0.0
@@ -32,5 +32,5 @@ class Repeats:
         self._due_s = min(self._latest_s, max(self._due_s, now_s + AGAIN_S))
 
     def due(self, now_s: float) -> bool:
-        """True if the stop must be sent now."""
+        """Return True if the stop must be sent now."""
         return now_s >= self._due_s

@@ -27,7 +27,7 @@ UNKNOWN_S = 0.0
 
 
 class Seen:
-    """The stops that were obeyed."""
+    """Remembers the stops that were obeyed, and judges new ones."""
 
     def __init__(self, tolerance_s: float, ids: dict[str, float] | None = None, floor_s: float = UNKNOWN_S) -> None:
         """`tolerance_s`: how far a stop's date may differ from this robot's clock, s. `ids`: the date of each id that
@@ -62,7 +62,7 @@ class Seen:
             self._floor_s = max(self._floor_s, self._ids.pop(known))
 
     def dump(self) -> bytes:
-        """The content of the file that keeps the obeyed stops over a restart."""
+        """Return the content of the file that keeps the obeyed stops over a restart."""
         return json.dumps({"ids": self._ids, "floor_s": self._floor_s}).encode()
 
     @classmethod

@@ -23,8 +23,8 @@ MOST_NAMED = 5
 
 
 def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> list[Line]:
-    """The result for people: how many robots have confirmed, how many have reached each level, and which robots are
-    missing. `doubts`: reasons why more robots may exist. `listed`: True if a file names all robots."""
+    """Return the result for people: how many robots have confirmed, how many have reached each level, and which robots
+    are missing. `doubts`: reasons why more robots may exist. `listed`: True if a file names all robots."""
     robots, missing = tally.robots(), tally.missing()
     if not robots:
         return [[("This broker knows NO ROBOT, so none has confirmed", FAIL)], *_doubts(doubts)]
@@ -62,8 +62,8 @@ def _name(robot: str) -> str:
 
 
 def progress(tally: Tally, problem: str, age_s: float) -> str:
-    """The progress line. `problem`: a problem with the broker, or "". `age_s`: how long the sender has been running,
-    s."""
+    """Return the progress line. `problem`: a problem with the broker, or "". `age_s`: how long the sender has been
+    running, s."""
     end = f"({age_s:.0f} s; Ctrl-C shows the report so far)"
     if problem:
         return f"{problem}: trying again {end}"
@@ -77,8 +77,8 @@ def progress(tally: Tally, problem: str, age_s: float) -> str:
 
 
 def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """The result for programs. `complete` is True if all known robots have confirmed the stop, and there is no reason
-    to think that more robots exist. In this case the exit code of `failstop fleet stop` is 0."""
+    """Return the result for programs. `complete` is True if all known robots have confirmed the stop, and there are no
+    doubts. The exit code of `failstop fleet stop` is then 0."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {

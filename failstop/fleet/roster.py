@@ -45,17 +45,16 @@ class Robot:
     """The kinds of errors that need a person."""
     warnings: int = 0
     deaf: str = ""
-    """The reason, as the robot reports it, why the robot would obey no fleet stop. Empty if the robot reports no such
-    reason."""
+    """Why the robot would obey no fleet stop, according to the robot itself. Empty if the robot reports no reason."""
     doubled: str = ""
-    """The robot's warning that another publisher uses its name. Empty if the robot has reported no such warning."""
+    """The robot's warning that another publisher uses its name. Empty if there is no warning."""
     period_s: float = LONGEST_PERIOD_S
     """The longest time between two state messages of this robot, s."""
     stamped_s: float | None = None
     """When the robot made its newest state message, by its own clock (Unix time, s)."""
     dated_s: float | None = None
-    """When the robot made its newest message that shows it is alive, by its own clock (Unix time, s). It may be a state
-    message, or a connection message with ONLINE."""
+    """When the robot made its newest sign of life, by its own clock (Unix time, s). A sign of life is a state message,
+    or a connection message with ONLINE."""
     heard_s: float | None = None
     """When the newest state message arrived (this computer's monotonic clock, s). None if the message came from the
     broker's store, because a stored message may be of any age."""
@@ -66,28 +65,27 @@ class Robot:
     """When the robot's first message arrived (this computer's monotonic clock, s)."""
 
     def age_s(self, now_s: float, unix_s: float) -> float | None:
-        """The age of the newest state message, s. None if the robot has published no state."""
+        """Return the age of the newest state message, s. None if the robot has published no state."""
         if self.heard_s is not None:
             return now_s - self.heard_s
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """How long the robot has shown no sign of life, s. If the only message so far came from the broker's store, the
-        message's age is computed from its date, which was made with the robot's clock. If the robot's clock is ahead,
-        the result may be too small."""
+        """Return how long the robot has shown no sign of life, s. If all messages so far came from the broker's store,
+        this is computed from their newest date. If the robot's clock is ahead, the result may then be too small."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
         return watched_s if self.dated_s is None else max(watched_s, unix_s - self.dated_s)
 
     def silent_after_s(self) -> float:
-        """How long a robot may be silent until it counts as lost, s. This also applies to a robot that the broker still
-        reports as ONLINE. The broker keeps reporting a robot as ONLINE if the robot was switched off while the broker
-        was down."""
+        """Return how long a robot may be silent until it counts as lost, s. The limit also applies to a robot that the
+        broker reports as ONLINE, because the broker keeps this report if a robot is switched off while the broker is
+        down."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:
-        """True if the robot counts as lost. Everything that the robot has published may then be out of date."""
+        """Return True if the robot counts as lost. Everything that the robot has published may then be out of date."""
         silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
         if not self.connection and self.sign_s is not None:
             return silent  # the broker hides the robot's connection messages, but shows its states
@@ -95,7 +93,7 @@ class Robot:
 
 
 class Roster:
-    """All robots that have published something."""
+    """Collects what the robots publish."""
 
     def __init__(self) -> None:
         self.robots: dict[str, Robot] = {}
@@ -133,7 +131,7 @@ class Roster:
         self.robots[robot] = known
 
     def sorted(self) -> list[Robot]:
-        """The robots in the order of their names. Numbers in names are compared as numbers, so robot-2 comes before
+        """Return the robots sorted by name. Numbers in names are compared as numbers, so robot-2 comes before
         robot-10."""
         return sorted(self.robots.values(), key=lambda robot: _natural(robot.id))
 
@@ -154,13 +152,13 @@ def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> N
 
 
 def _text(found: object) -> str:
-    """A robot's text in printable characters, on one line, and at most MOST_TEXT long."""
+    """Return a robot's text in printable characters, on one line, and at most MOST_TEXT long."""
     return words.printable(str(found)[:MOST_TEXT])[:MOST_TEXT]
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """The value if it is a number between `low` and `high`, else None. Python's JSON reader also accepts NaN and huge
-    integers, so this check is needed."""
+    """Return the value if it is a number between `low` and `high`, else None. Python's JSON reader also accepts NaN and
+    huge integers, so this check is needed."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)

@@ -65,9 +65,8 @@ class Sender:
         confirmed the stop, and there is no reason to think that more robots exist. Raises FleetError if the stop could
         not be given to the broker.
 
-        `wait_s` is the longest time to wait. If it is None, the longest time is WAIT_S. But if the broker may have
-        restarted recently, some robots may still be reconnecting, so this waits longer for them. `progress` is called
-        again and again during the wait.
+        `wait_s`: the longest time to wait. The default is WAIT_S, or longer if the broker may have restarted recently,
+        because some robots may still be reconnecting. `progress` is called again and again during the wait.
         """
         until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
         confirmed_s: float | None = None
@@ -102,7 +101,8 @@ class Sender:
         return self.heard_all and self.tally.all_confirmed()
 
     def _late(self, now_s: float) -> str:
-        """Why a robot may exist that the broker does not know yet. Empty if every robot has had time to connect."""
+        """Return the reason why the broker may not know all robots yet. Empty if every robot has had time to
+        connect."""
         after_s = now_s - (self.sent_s or now_s)
         oldest_s = self.tally.oldest_s()
         if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
@@ -119,7 +119,7 @@ class Sender:
         return ""
 
     def _doubts(self, now_s: float) -> list[str]:
-        """All reasons why robots may be missing from the count."""
+        """Return all reasons why robots may be missing from the count."""
         found = []
         if self.sent_s is not None and self.broker.problem:
             found.append(f"the connection was lost in the meantime: {self.broker.problem}")
@@ -148,9 +148,9 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """The first time, send the stop to all robots. Later, if at most MANY robots or at most half of all robots are
-        missing, send it only to the missing robots, one by one. If the broker may know more robots than it has named,
-        send the stop to all robots again."""
+        """Send the stop to all robots the first time, and later only to the missing robots, one by one. It is sent to
+        all robots again if more than MANY and more than half of all robots are missing, or if the broker may know more
+        robots than it has named."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)

@@ -90,7 +90,7 @@ GONE = {
     "robot.manufacturer": "failstop no longer publishes VDA 5050. Remove this line; if it named your fleet, write "
     "robot.fleet instead, the same on every robot and on the computer that stops them",
 }
-"""Settings that older versions of failstop had. For each, a text that says what to do."""
+"""Settings of older versions of failstop, each with a text that says what to do."""
 
 
 class FleetSettings:
@@ -109,8 +109,8 @@ class FleetSettings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse settings that would have no effect. For example, with a certificate but without TLS, a user would
-        think that the connection is protected, but it is not."""
+        """Refuse settings that would have no effect. For example, without TLS a certificate would protect nothing,
+        although the user thinks that it does."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
@@ -123,28 +123,28 @@ class FleetSettings:
                 raise SettingError(f"{key} is set but {needed} is not, so it would not be used: set {needed} too")
 
     def text(self, key: str) -> str:
-        """The value of a text setting."""
+        """Return the value of a text setting."""
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """The path of a file with a secret. If systemd has passed a credential with this name, this is the path of the
-        credential. Otherwise it is the value of the setting."""
+        """Return the path of a file with a secret. It is systemd's credential with this name if there is one, else the
+        value of the setting."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
 
     def number(self, key: str) -> float:
-        """The value of a number setting."""
+        """Return the value of a number setting."""
         return float(self._values[key])
 
     def on(self, key: str) -> bool:
-        """True if this switch is on."""
+        """Return True if this switch is on."""
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """The robot's name in the fleet, for the service `name`. It is the setting robot.id, or the computer's host
-        name if that setting is empty. If the service does not have the default name, "-" and the service's name are
-        added. Raises SettingError if the host name can't be a robot's name."""
+        """Return the robot's name in the fleet. It is the setting robot.id, or else the computer's host name. If the
+        service `name` does not have the default name, "-" and its name are added. Raises SettingError if the host name
+        can't be a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()
@@ -168,8 +168,8 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """The robots that must confirm a fleet stop, from the file stop.robots_file. None if that setting is empty. Raises
-    FleetError."""
+    """Return the robots that must confirm a fleet stop, from the file stop.robots_file. None if that setting is empty.
+    Raises FleetError."""
     path = found.text("stop.robots_file")
     if not path:
         return None
@@ -188,8 +188,8 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
 
 
 def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetError:
-    """An error that names the setting, the file, and the remedy. `credential`: the name of the credential by which
-    systemd can pass the file to the unit, or "" if the file is not secret."""
+    """Return an error that names the setting, the file, and the remedy. `credential`: the name of the credential by
+    which systemd can pass the file to the unit, or "" if the file is not secret."""
     text = f"{key} {path}: {error.strerror or error}"
     if not isinstance(error, PermissionError):
         return FleetError(text)
@@ -202,8 +202,8 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """The text of a settings file that shows every setting with its default. Every default is a comment, and every
-    setting has its whole key. So a person may add a setting anywhere in the file."""
+    """Return an example settings file that shows every setting with its default. Every default is a comment, and every
+    setting has its whole key, so a person may add a setting anywhere in the file."""
     lines = [
         "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
         "# a line with the whole name anywhere.",
@@ -220,7 +220,7 @@ def example() -> str:
 
 
 def markdown() -> list[str]:
-    """The lines of the settings table in docs/fleet.md."""
+    """Return the lines of the settings table in docs/fleet.md."""
     rows = ["| setting | default | allowed | what it is |", "|---|---|---|---|"]
     for row in DECLARED:
         default = f"`{row.default}`" if row.default != "" else ""

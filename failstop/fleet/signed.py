@@ -112,7 +112,7 @@ def read_key(path: str) -> bytes:
 
 
 def _handed_over(path: str) -> bool:
-    """True if the file is a credential from systemd. Such a file may be readable by other users according to its
-    permissions. But they can't read it, because systemd puts it into a folder that only this service can open."""
+    """Return True if the file is a credential from systemd. Other users can't read it, whatever its permissions are,
+    because systemd puts it into a folder that only this service can open."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

@@ -18,9 +18,9 @@ UNCONFIRMED = {
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
     levels.OBSERVED: "written, but its IMU has not observed that the wheels have stopped",
 }
-"""For each level that can confirm a stop, the text that is shown about a robot which has not reached this level."""
+"""For each level that can confirm a stop, the text about a robot that has not reached it."""
 TAKEN_OFF = "TAKEN OFF"
-"""The connection of a robot whose stored message was removed from the broker during the stop."""
+"""Marks the connection of a robot whose stored message was removed from the broker during the stop."""
 WORDS = {
     message.OFFLINE: "its publisher was ended",
     message.LOST: "its connection is broken",
@@ -36,8 +36,8 @@ DOUBLED = (
 )
 OLDER = "its failstop is older and can't tell a second robot of this name apart: update it"
 STABLE_S = 2.0
-"""If a robot's connection to the broker is at least this old, s, no second client uses the same client name. Two
-clients with the same name would end each other's connection every second."""
+"""How old a robot's connection must be to prove that no second client uses the same client name, s. Two such clients
+would end each other's connection every second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Missing:
 
 
 class Tally:
-    """The robots that must confirm a stop, and what each has answered."""
+    """Counts which robots have confirmed a fleet stop."""
 
     def __init__(self, listed: frozenset[str] | None) -> None:
         """`listed`: robots that must confirm even if the broker does not know them."""
@@ -105,7 +105,8 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Keep a robot from counting as confirmed if two publishers use its name."""
+        """Keep a robot from counting as confirmed if two publishers use its name, or if its version is too old to
+        notice a second publisher."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # One publisher's connection has ended, but another publisher answers.
@@ -123,57 +124,57 @@ class Tally:
         self._since_s.clear()
 
     def robots(self) -> list[str]:
-        """All robots that must confirm the stop. They are the robots in the file stop.robots_file, the robots that the
-        broker has named, and the robots that have answered."""
+        """Return all robots that must confirm the stop. They are the robots in the file stop.robots_file, the robots
+        that the broker has named, and the robots that have answered."""
         return sorted({*self._known(), *self._answers})
 
     def _known(self) -> Set[str]:
         return self._connections.keys() | self._listed
 
     def hidden(self) -> list[str]:
-        """Robots that have answered but were never named by the broker. If the list is not empty, the broker may hide
-        more robots."""
+        """Return the robots that have answered but were never named by the broker. If there are any, the broker may
+        hide more robots."""
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """The robots that have reported this level. If two publishers use a robot's name, the robot is left out,
+        """Return the robots that have reported this level. If two publishers use a robot's name, the robot is left out,
         because nobody knows which of the two robots has answered."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
-        """True if every robot has reported this level. False if no robot is known."""
+        """Return True if every robot has reported this level. False if no robot is known."""
         if self._counts.get(level, 0) < max(1, len(self._answers)):
             return False  # a quick test, because this is called after each answer
         robots = self.robots()
         return bool(robots) and self.reached(level) == robots
 
     def times_s(self, level: str) -> list[float]:
-        """When each robot reported this level, the earliest first."""
+        """Return the times at which robots reported this level, the earliest first."""
         return sorted(self._answers[robot][level] for robot in self.reached(level))
 
     def all_confirmed(self) -> bool:
-        """True if every robot has confirmed the stop. False if no robot is known."""
+        """Return True if every robot has confirmed the stop. False if no robot is known."""
         confirmed = self._reached_it
         if not confirmed or self._barred.keys() & confirmed:
             return False
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """When the oldest connection between a robot and the broker began, according to the robots' answers. The broker
-        must have been running since that time. None if no robot has answered."""
+        """Return when the oldest connection between a robot and the broker began, according to the robots' answers. The
+        broker has been running at least since then. None if no robot has answered."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Robots whose connection is younger than STABLE_S. A connection is that young if two robots have the same
-        name, because each of them ends the connection of the other again and again."""
+        """Return the robots that have been connected for less than STABLE_S. Two robots with the same name never stay
+        connected longer, because each ends the other's connection again and again."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:
-        """The robots that have confirmed the stop, each with the level that confirmed it."""
+        """Return the robots that have confirmed the stop, each with the level that confirmed it."""
         return {robot: self._confirms[robot] for robot in sorted(self._reached_it - self._barred.keys())}
 
     def missing(self) -> list[Missing]:
-        """The robots that have not confirmed the stop, each with the reason as far as it is known."""
+        """Return the robots that have not confirmed the stop, each with the reason as far as it is known."""
         confirmed = self._reached_it - self._barred.keys()
         return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in confirmed]
 

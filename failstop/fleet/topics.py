@@ -16,8 +16,8 @@ EVENT = "event"
 
 
 def of_robot(fleet: str, robot: str, last: str) -> str:
-    """The topic of one robot that ends with `last`. If `robot` is ANY, the result is a pattern that matches this topic
-    of every robot."""
+    """Return the topic of one robot that ends with `last`. If `robot` is ANY, the result is a pattern that matches this
+    topic of every robot."""
     return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 
@@ -28,11 +28,11 @@ def robot_of(topic: str) -> tuple[str, str]:
 
 
 def stop(fleet: str, robot: str = "") -> str:
-    """The topic for stops to all robots, or to one robot."""
+    """Return the topic for stops to all robots, or to one robot."""
     return f"{ROOT}/{fleet}/stop{'/' if robot else ''}{robot}"
 
 
 def answer(fleet: str, stop_id: str, robot: str) -> str:
-    """The topic for a robot's answer to this stop. If `robot` is ANY, the result is a pattern that matches the answers
-    of all robots."""
+    """Return the topic for a robot's answer to this stop. If `robot` is ANY, the result is a pattern that matches the
+    answers of all robots."""
     return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

@@ -46,8 +46,7 @@ class Said(NamedTuple):
     dated_s: float | None = None
     """When the message was made, by its publisher's clock (Unix time, s)."""
     heard: tuple[str, ...] = ()
-    """The numbers of other publishers that the message lists. The publisher that made the message has received messages
-    with these numbers."""
+    """The numbers of other publishers that the message lists, because its sender has received messages from them."""
 
 
 NOTHING = Said()
@@ -67,26 +66,24 @@ def connection_of(payload: bytes) -> Said:
 
 
 class Twins:
-    """The other publishers that use this robot's name."""
+    """Finds the other publishers that use this robot's name."""
 
     def __init__(self, own: str, started_s: float) -> None:
         """`own`: this publisher's number. `started_s`: when this publisher started (Unix time, s)."""
         self.others: set[str] = set()
-        """The numbers of other publishers that use this robot's name, at most MOST. They stay in the set even after the
-        other robot is switched off or renamed. The other robot may still be driving, although its publisher is silent.
-        Only a restart of this publisher clears the set."""
+        """The numbers of other publishers that use this robot's name, at most MOST. Only a restart of this publisher
+        clears them, because the other robot may still be driving after its publisher falls silent."""
         self.again = False
-        """True if this publisher must publish its connection message again. There are three possible reasons. The
-        broker has no stored message for this robot's name. The broker has stored a message with OFFLINE or LOST. Or
-        this publisher has received a message with a new number, which it must list."""
+        """True if this publisher must publish its connection message again, because the broker's stored message is
+        missing or says OFFLINE or LOST, or because there is a new number to list."""
         self._own = own
         self._started_s = started_s
         self._connections = 0
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
-        """Numbers of publishers that have used this robot's name before this publisher's first connection. Each has the
-        date of the publisher's message that the broker had stored, or infinity if the date is not known. It is not
-        known whether these publishers still run, and their clocks may have been ahead."""
+        """For each publisher that used this robot's name before this publisher's first connection, the date of the
+        message that the broker had stored, or infinity if the date is not known. These publishers may have ended, and
+        their clocks may have been ahead."""
 
     def connected(self) -> None:
         """Note a new connection to the broker. Call this before hear(), because the broker first sends its stored
@@ -94,7 +91,7 @@ class Twins:
         self._connections += 1
 
     def heard(self) -> list[str]:
-        """The numbers to list in this publisher's next messages, the oldest first."""
+        """Return the numbers to list in this publisher's next messages, the oldest first."""
         return [number for number in self._heard if number]
 
     def hear(self, payload: bytes, *, retained: bool) -> None:
@@ -121,7 +118,7 @@ class Twins:
             self.others.add(said.number)
 
     def _later(self, said: Said) -> bool:
-        """True if the message is dated after this publisher's start, so that its sender seems to be running now. This
-        is not certain, because a clock may be wrong. But if another publisher hangs before it has listed any number,
-        the date of its message is the only sign of that publisher."""
+        """Return True if the message is dated after this publisher's start, so that its sender seems to be running now.
+        This is not certain, because a clock may be wrong. But if another publisher hangs before it has listed any
+        number, the date of its message is the only sign of that publisher."""
         return said.dated_s is not None and said.dated_s > max(self._started_s, self._kept_s.get(said.number, 0.0))

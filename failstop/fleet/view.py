@@ -51,15 +51,15 @@ ORDER = (
 
 
 def word(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A word about the robot's wheels, or LOST or OFFLINE if the robot is not connected. `now_s`: time.monotonic().
-    `unix_s`: Unix time."""
+    """Return a word about the robot's wheels, or LOST or OFFLINE if the robot is not connected. `now_s`:
+    time.monotonic(). `unix_s`: Unix time."""
     if robot.connection == message.OFFLINE:
         return ENDED
     return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
 
 
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A line that explains the word about the robot's wheels."""
+    """Return a line that explains the word about the robot's wheels."""
     if robot.connection == message.OFFLINE:
         return "its publisher was ended, so nobody here knows what the robot does"
     if robot.lost(now_s, unix_s):
@@ -80,7 +80,7 @@ def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
 
 
 def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
-    """One line with the number of robots for each word."""
+    """Return one line with the number of robots for each word."""
     found = [word(robot, now_s, unix_s) for robot in robots]
     line: Line = [(f"{len(robots)} robot{'' if len(robots) == 1 else 's'}", STRONG)]
     for name in (*ORDER, OTHER):
@@ -95,8 +95,8 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
 
 
 def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
-    """A table with a row for each robot. Robots that need a person come first. `columns`: the screen's width. The names
-    of the robots get at most a third of the width."""
+    """Return a table with a row for each robot. Robots that need a person come first. `columns`: the screen's width.
+    The names of the robots get at most a third of the width."""
     most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]
@@ -128,8 +128,8 @@ def lines(
     rows: int,
     blind: str = "",
 ) -> list[Line]:
-    """The whole screen. `where`: the broker's address. `problem`: a problem with the broker, or "". `blind`: why robots
-    may be missing, or ""."""
+    """Return the whole screen. `where`: the broker's address. `problem`: a problem with the broker, or "". `blind`: why
+    robots may be missing, or ""."""
     left, right = f"fleet at {where}", f"{words.clock(unix_s, unix_s)}   q quits"
     title: Line = [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
     head: list[Line] = [title, []]

@@ -21,7 +21,7 @@ class Malformed(ConnectionError):
 
 
 class MqttWire:
-    """The bytes that arrive on one connection."""
+    """Sorts the bytes of one connection into messages and other packets."""
 
     def __init__(self) -> None:
         self.skipped = 0
@@ -68,17 +68,17 @@ class MqttWire:
         self._messages.append((topic, bytes(self._bytes[payload:end]), bool(first & RETAIN)))
 
     def holds(self) -> bool:
-        """True while there are bytes for paho-mqtt."""
+        """Return True while there are bytes for paho-mqtt."""
         return bool(self._rest)
 
     def read(self, most: int) -> bytes:
-        """The next bytes for paho-mqtt, at most `most` of them."""
+        """Return the next bytes for paho-mqtt, at most `most` of them."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]
         return taken
 
     def messages(self) -> list[Message]:
-        """The messages that have arrived since the last call, the oldest first."""
+        """Return the messages that have arrived since the last call, the oldest first."""
         taken, self._messages = self._messages, []
         return taken
 
