@@ -13,8 +13,8 @@ QUIET = 1
 
 
 def own_addresses() -> list[str]:
-    """This computer's network addresses, without loopback and link-local IPv6. IPv4 addresses come first, because most
-    robots are reached by them."""
+    """Return the network addresses of this computer, without loopback and link-local IPv6. IPv4 addresses come first,
+    because most robots are reached by them."""
     import psutil
 
     rows = [row for each in psutil.net_if_addrs().values() for row in each]
@@ -26,13 +26,13 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """The page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a proxy,
-    the only address is the address of the proxy."""
+    """Return the page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a
+    proxy, the only address is the address of the proxy."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 
 def listening(found: dict[str, Any]) -> list[str]:
-    """The addresses at which the page itself listens, for phones or for a proxy. `found` is the result of
+    """Return the addresses at which the page itself listens, for phones or for a proxy. `found` is the result of
     Page.addresses()."""
     hosts = [found["address"]]
     if found["address"] in EVERYWHERE:
@@ -42,14 +42,14 @@ def listening(found: dict[str, Any]) -> list[str]:
 
 
 def link(url: str, code: str) -> str:
-    """The text of the QR code: the page's address, then # and the pairing code. A browser never sends the part after #
-    over the network."""
+    """Return the text of the QR code: the page's address, then # and the pairing code. A browser never sends the part
+    after # over the network."""
     return f"{url}#{code}"
 
 
 def terminal_text(found: dict[str, Any]) -> str:
-    """The text that `failstop web pair` prints: the QR code, the pairing code, and the page's addresses. With HTTPS, it
-    also has the certificate's fingerprint."""
+    """Return the text that `failstop web pair` prints: the QR code, the pairing code, and the page's addresses. With
+    HTTPS, it also has the certificate's fingerprint."""
     places = urls(found)
     parts = []
     if picture := qr(link(places[0], found["code"])):
@@ -67,7 +67,7 @@ def terminal_text(found: dict[str, Any]) -> str:
 
 
 def qr(text: str) -> str:
-    """The QR code as block characters for a terminal. Empty if segno is not installed."""
+    """Return the QR code as block characters for a terminal. Empty if segno is not installed."""
     try:
         import segno
     except ImportError:

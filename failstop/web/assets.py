@@ -11,14 +11,13 @@ from pathlib import Path
 FOLDER = Path(__file__).parent / "page"
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml"}
 WITHIN = {"stop.css": "style-src", "stop.js": "script-src 'self'", "page.css": "style-src"}
-"""The files that are part of the first response. In page.html there is a comment with each file's name, and the file's
-text replaces the comment. For each file, the value is the directive of the Content-Security-Policy that allows its
-text."""
+"""The files that are included in page.html, in place of a comment with the file's name. Each has the directive of the
+Content-Security-Policy that allows its text."""
 INDEX = "/"
 
 
 def load() -> dict[str, tuple[bytes, bytes, str, str]]:
-    """All files by their paths: (content, gzip-compressed content, content type, additions to the
+    """Return all files by their paths: (content, gzip-compressed content, content type, additions to the
     Content-Security-Policy). The additions allow the styles and scripts inside the page, by their hashes."""
     page, allowed = _text("page.html"), dict[str, str]()
     for name, directive in WITHIN.items():
@@ -34,8 +33,7 @@ def load() -> dict[str, tuple[bytes, bytes, str, str]]:
 
 
 def policy(given: str, more: str) -> str:
-    """The Content-Security-Policy `given`, combined with `more`. If both have a directive with the same name, the
-    directive in `more` is used."""
+    """Combine two Content-Security-Policies. If both have a directive with the same name, the one in `more` is used."""
     rows = dict(row.strip().partition(" ")[::2] for row in given.split(";"))
     rows |= dict(row.strip().partition(" ")[::2] for row in more.split(";") if row)
     return "; ".join(f"{name} {value}" for name, value in rows.items())

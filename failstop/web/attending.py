@@ -1,4 +1,4 @@
-"""Attending: reports to the gate that an operator is present, which the operator's device has proved. If several
+"""Attending: reports to the gate that an operator is present, once the operator's device has proved it. If several
 operators are present, only the operator with the newest proof is reported. The gate alone decides when a proof is too
 old."""
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Attending:
-    """The operators who attend the robot through the page."""
+    """Keeps track of the operators who attend the robot through the page."""
 
     def __init__(self, name: str, ended: Callable[[Viewer], None]) -> None:
         """`ended` is called with each viewer that stops attending."""
@@ -28,7 +28,7 @@ class Attending:
         self._leases: dict[Viewer, tuple[str, Lease]] = {}
 
     def of(self, viewer: Viewer) -> Lease | None:
-        """The lease that checks the proofs of this viewer. None if the viewer does not attend."""
+        """Return the lease that checks the proofs of this viewer. None if the viewer does not attend."""
         found = self._leases.get(viewer)
         return found[1] if found else None
 
@@ -38,13 +38,13 @@ class Attending:
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
-        """Call this after a viewer's answer has proved something new. If no other viewer's proof is newer, the proof is
-        reported to the gate. Returns an error text, or ""."""
+        """Report a viewer's new proof to the gate, unless another viewer's proof is newer. Returns an error text, or
+        ""."""
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
         """End a viewer's attendance. If this viewer's proof was the newest, the newest proof of the other operators is
-        reported to the gate at once. If the gate finds that proof too old, nobody counts as present."""
+        reported to the gate at once."""
         last = self._last()
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
@@ -52,8 +52,7 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """The operator with the newest proof, and that operator's lease. None if no operator's device has sent a proof
-        yet."""
+        """Return the operator with the newest proof, and that operator's lease. None if there is no proof yet."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 

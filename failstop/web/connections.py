@@ -28,7 +28,7 @@ T = TypeVar("T", bound=Closes)
 MOST = 256
 """How many connections may be open at once. A connection counts until it becomes a websocket."""
 IDLE_S = 10.0
-"""How long to wait for the head of the next request, s. Then the connection is closed."""
+"""How long to wait for the head of the next request before the connection is closed, s."""
 BODY_S = 5.0
 MOST_HEAD = 16 * 1024
 MOST_BODY = 4 * 1024
@@ -59,7 +59,7 @@ class Places(Generic[T]):
         self._held.pop(one, None)
 
     def all(self) -> tuple[T, ...]:
-        """The connections that have a place, the oldest first."""
+        """Return the connections that have a place, the oldest first."""
         return tuple(self._held)
 
 
@@ -93,6 +93,6 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:
-        """Call this when a connection has become a websocket. It frees the connection's place, so that a flood of other
-        connections can't close the websocket."""
+        """Free the place of a connection that has become a websocket, so that a flood of other connections can't close
+        the websocket."""
         self._places.leave(stream)

@@ -20,8 +20,8 @@ ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 CODE_CHARACTERS = 8
 CODE_S = 120.0
 TRIES = 5
-"""How many wrong codes end an offer to pair. A code can't be guessed in so few tries, because there are 2 to the power
-of 40 codes."""
+"""How many wrong codes end an offer to pair. There are 2 to the power of 40 codes, so nobody can guess one in so few
+tries."""
 
 
 class NotPaired(Exception):
@@ -41,12 +41,12 @@ class Device:
 
 
 def digest_of(token: str) -> str:
-    """The hash of a token. Only this hash is stored."""
+    """Return the hash of a token. Only this hash is stored."""
     return hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()
 
 
 def clean(name: str) -> str:
-    """The device's name in a form that is safe to show: printable, on one line, and not too long."""
+    """Return the device's name in a form that is safe to show: printable, on one line, and not too long."""
     shown = "".join(c if c.isprintable() else "?" for c in " ".join(name.split()))
     return shown[:LONGEST_NAME] or "a device"
 
@@ -58,13 +58,12 @@ class Devices:
         self._by_digest = {device.digest: device for device in known}
 
     def all(self) -> list[Device]:
-        """The devices, in the order in which they were paired."""
+        """Return the devices, in the order in which they were paired."""
         return list(self._by_digest.values())
 
     def free_name(self, name: str) -> str:
-        """The name to give to a new device. It is made from the wanted name `name`, and is safe to show. If another
-        device already has the same name, a number is added. So the reason of a stop shows which of the devices has
-        requested the stop."""
+        """Return a name for a new device, made from the wanted name and safe to show. If another device has this name,
+        a number is added, so that the reason of a stop names only one device."""
         wanted, taken = clean(name), {device.name for device in self.all()}
         for number in range(2, MOST + 2):
             if wanted not in taken:
@@ -79,7 +78,7 @@ class Devices:
         self._by_digest[device.digest] = device
 
     def of(self, token: str) -> Device | None:
-        """The device that has this token, or None."""
+        """Return the device that has this token, or None."""
         return self._by_digest.get(digest_of(token)) if token else None
 
     def revoke(self, identity: str) -> Device | None:
@@ -91,7 +90,7 @@ class Devices:
         return found
 
     def dump(self) -> bytes:
-        """The devices as the content of their file."""
+        """Return the devices as the content of their file."""
         return (json.dumps([dataclasses.asdict(device) for device in self.all()], indent=2) + "\n").encode()
 
     @classmethod
@@ -108,15 +107,15 @@ class Devices:
 
 
 def code_of(data: bytes) -> str:
-    """The pairing code made from five random bytes."""
+    """Return the pairing code made from five random bytes."""
     number = int.from_bytes(data[:5], "big")
     characters = [ALPHABET[number >> 5 * at & 31] for at in range(CODE_CHARACTERS)]
     return f"{''.join(characters[:4])}-{''.join(characters[4:])}"
 
 
 def typed(code: str) -> str:
-    """A pairing code in its usual form, however a person typed it. For example, the letter O becomes the digit 0, and
-    blanks and dashes are removed."""
+    """Convert a pairing code, as a person has typed it, to its usual form. For example, the letter O becomes the digit
+    0, and blanks and dashes are removed."""
     return code.upper().translate(str.maketrans("OIL", "011", " -_")).strip()
 
 

@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
-"""The source under which the page sends its commands, if the settings declare a source with this name. Otherwise the
-page sends its commands as cmd_vel."""
+"""The source for the page's commands, if the settings declare it. Otherwise the page commands as cmd_vel."""
 OTHER_S = 0.5
-"""How long after one person's last command another person may drive, s."""
+"""How long another person must wait after the driver's last command before driving, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
@@ -50,7 +49,8 @@ class Driving:
         wanted, attended = settings.on("web.drive"), settings.on("attend.required")
         self.on = wanted and attended
         self.lacks = UNATTENDED_DRIVE if wanted and not attended else ""
-        """If web.drive is on but nobody can drive from the page, this text says why. Otherwise it is empty."""
+        """Why nobody can drive from the page although web.drive is on. Empty if the page can drive, or if web.drive is
+        off."""
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
@@ -63,13 +63,13 @@ class Driving:
         """Viewers who held the stick while motion was disabled. Their stick moves nothing until they let go of it, even
         if motion is enabled again."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each viewer who holds the stick, the robot's epoch and the time at which motion was last enabled (ns).
-        Both were read when the viewer began to push the stick. If either has changed since then, the viewer must let go
-        of the stick before it can drive again."""
+        """For each viewer who holds the stick, the robot's epoch and the time at which motion was last enabled (ns),
+        both from the beginning of the push. If either has changed since then, the viewer must let go of the stick
+        before driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """True if the operator of this device has chosen a speed limit. It is also True if no choice is needed, because
-        driving is off or the device is not paired."""
+        """Return True if the operator of this device has chosen a speed limit, or needs to choose none, because driving
+        is off or the device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
@@ -77,9 +77,9 @@ class Driving:
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """Carry out a driving command of a viewer that attends. `said`: the command's text. The viewer's answer has
-        proved that the text comes from the viewer's device. `proven_ns`: when the device was certainly present
-        (CLOCK_MONOTONIC, ns). Returns the reason why the robot does not obey the command, or "" if it does."""
+        """Carry out a driving command of a viewer that attends. `said`: the command's text, which the viewer's answer
+        has proved. `proven_ns`: when the device was certainly present (CLOCK_MONOTONIC, ns). Returns the reason why the
+        robot does not obey the command, or "" if it does."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
@@ -101,8 +101,7 @@ class Driving:
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
     def _newest(self, state: State) -> State:
-        """The robot's present state if somebody is driving. If nobody is driving, this returns `state`, which may be
-        0.1 s old."""
+        """Return the robot's present state if somebody is driving. Otherwise return `state`, which may be 0.1 s old."""
         with contextlib.suppress(FailstopError):
             return self._robot.state if self._robot else state
         return state
@@ -118,8 +117,8 @@ class Driving:
         return ""
 
     def release(self, viewer: Viewer) -> None:
-        """The viewer has let go of the stick, so the robot slows down to zero along its ramp. No proof that the
-        operator is present is needed, because slowing down is not dangerous."""
+        """Slow the robot down to zero along its ramp, because the viewer has let go of the stick. This needs no proof
+        that the operator is present, because slowing down is not dangerous."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:

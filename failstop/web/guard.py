@@ -23,9 +23,8 @@ HEADER = "X-Failstop"
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, or that the person
-has opened the address directly, for example in the address bar. An empty value means that the browser has not sent the
-header."""
+"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, that the person
+has opened the address directly, or (if empty) that the browser has not sent the header."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -49,7 +48,7 @@ class PageRequest:
 
     method: str
     scheme: str
-    """The scheme of the request as this process has received it, http or https. Behind a proxy, the browser may have
+    """The scheme with which this process has received the request, http or https. Behind a proxy, the browser may have
     used the other scheme."""
     host: str
     """The header Host, including the port."""
@@ -73,15 +72,15 @@ def origin_of(setting: str) -> str:
 
 
 def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
-    """All host names under which the robot can be reached. These are its own host name, the same name with .local,
-    localhost, the names in the setting `more` (separated by blanks), and the name in `origin`."""
+    """Return all host names under which the robot can be reached. These are its own host name, the same name with
+    .local, localhost, the names in the setting `more` (separated by blanks), and the name in `origin`."""
     own = hostname.lower().partition(".")[0]
     proxied = host_of(origin.partition("://")[2])
     return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split(), proxied)) - {""}
 
 
 def host_of(header: str) -> str:
-    """The host in a Host header, without port and brackets. Empty if the header is malformed."""
+    """Return the host in a Host header, without port and brackets. Empty if the header is malformed."""
     try:
         found = urlsplit(f"//{header}")
         _ = found.port
@@ -93,7 +92,7 @@ def host_of(header: str) -> str:
 
 
 def is_address(host: str) -> bool:
-    """True if the host is an address, not a name. A page that was opened at an address must come from the robot,
+    """Return True if the host is an address, not a name. A page that was opened at an address must come from the robot,
     because no other site can make an address point to the robot."""
     try:
         ipaddress.ip_address(host)
@@ -103,7 +102,7 @@ def is_address(host: str) -> bool:
 
 
 def only_here(address: str) -> bool:
-    """True if only this computer can reach the address."""
+    """Return True if only this computer can reach the address."""
     return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
 
 

@@ -72,7 +72,7 @@ class Guarded(RequestHandler):
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
     def body(self) -> dict[str, Any]:
-        """The JSON object that the request contains, or an empty one."""
+        """Return the JSON object that the request contains, or an empty one."""
         return messages.read(self.request.body)
 
     @property
@@ -83,28 +83,27 @@ class Guarded(RequestHandler):
 
     @property
     def cookie(self) -> str:
-        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-. A browser accepts a
-        cookie with such a name only from the robot itself over HTTPS. It refuses the cookie over plain HTTP, or from
-        another host name."""
+        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-, so that a browser
+        accepts the cookie only over HTTPS, and only from the robot itself."""
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
-        """The device's token from the cookie. Empty if the browser sent none."""
+        """Return the device's token from the cookie. Empty if the browser sent none."""
         return self.get_cookie(self.cookie) or ""
 
     def device(self) -> Device | None:
-        """The paired device that sent the request. None if the request comes from a device that is not paired, which
-        may only watch and stop."""
+        """Return the paired device that sent the request. None if the request comes from a device that is not paired,
+        which may only watch and stop."""
         return self.page.devices.of(self.token())
 
     def who(self) -> str:
-        """A name for the sender of the request, to show to people."""
+        """Return a name for the sender of the request, to show to people."""
         device = self.device()
         return f"page at {self.request.remote_ip}" if device is None else f"{device.name} {ON_PAGE}"
 
     def paired(self) -> Device | None:
-        """The paired device that sent the request. If the sender is not paired, this refuses the request and returns
-        None."""
+        """Return the paired device that sent the request. If the sender is not paired, this refuses the request and
+        returns None."""
         if (device := self.device()) is None:
             self.refuse(401, "this device is not paired")
         return device

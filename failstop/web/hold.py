@@ -42,8 +42,8 @@ class Hold:
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """Returns True when the button has been held for HOLD_S. The caller must then ask the page to confirm the hold.
-        Later calls return False, so the page is asked only once."""
+        """Return True once, when the button has been held for HOLD_S. The caller must then ask the page to confirm the
+        hold."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s

@@ -38,8 +38,8 @@ class Made:
 
 
 class Incidents:
-    """The incidents of one service. Only one story or picture is made at a time. If a viewer asks for a story that is
-    not made yet, it gets an answer at once, which says that the story is not ready."""
+    """Lists the incidents of one service, and makes one story or picture at a time. If a story is not made yet, the
+    viewer gets an answer at once that says so."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -50,7 +50,7 @@ class Incidents:
         self._looked_s = float("-inf")
 
     async def cards(self) -> list[dict[str, Any]]:
-        """The newest incidents as cards, the newest first."""
+        """Return the newest incidents as cards, the newest first."""
         if time.monotonic() - self._looked_s > FRESH_S:
             self._looked_s = time.monotonic()
             found = await asyncio.get_running_loop().run_in_executor(None, self._heads)
@@ -61,17 +61,18 @@ class Incidents:
         return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
     async def known(self, identity: str) -> bool:
-        """True if one of the cards has this id."""
+        """Return True if one of the cards has this id."""
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """The story's lines, with times in ms from the cause, and True if the incident has a picture. The first value
-        is None until the story is made. The second value is None until it is known whether the picture can be made."""
+        """Return the story's lines, with times in ms from the cause, and whether the incident has a picture. Each is
+        None until it is known."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
     def picture(self, identity: str) -> bytes | None:
-        """The picture as PNG. None if the picture is not made yet. Empty if this computer can't draw pictures."""
+        """Return the picture as PNG. None if the picture is not made yet. Empty if this computer can't draw
+        pictures."""
         return self._of(identity).picture
 
     def _of(self, identity: str) -> Made:
@@ -137,8 +138,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The story's lines from the seconds around the cause, in their order. If the story has more than LINES such lines,
-    only the LINES lines that are closest to the cause are returned."""
+    """Return the story's lines from the seconds around the cause, in their order. If there are more than LINES, only
+    the LINES lines closest to the cause are returned."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

@@ -19,13 +19,13 @@ PURPOSE = b"failstop lease"
 
 
 def key_of(token: str) -> bytes:
-    """The key with which a device computes its answers. The page's scripts may know this key, but they can't read the
-    token from which it is made."""
+    """Return the key with which a device computes its answers. The page's scripts may know this key, but they can't
+    read the token from which it is made."""
     return hmac.digest(token.encode(), PURPOSE, "sha256")
 
 
 def answer_to(nonce: str, key: bytes) -> str:
-    """The correct answer to a nonce, from a device that has this key."""
+    """Return the correct answer to a nonce, from a device that has this key."""
     return hmac.digest(key, nonce.encode(), "sha256").hex()
 
 
@@ -46,8 +46,8 @@ class Lease:
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. Returns True if it proves something new: the device was present at a later time than any
-        earlier answer has proved. `said`: a command that came with the answer and is proven by it."""
+        """Check an answer. Returns True if it proves that the device was present later than earlier answers have
+        proved. `said`: a command that came with the answer and is proven by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

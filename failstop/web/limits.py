@@ -16,8 +16,8 @@ class Limit:
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, key: str, now_s: float) -> bool:
-        """Use up one token of this key. Returns True if the key had a token, so the request is allowed. Returns False
-        if the key had no token left. `now_s`: time.monotonic(). If the time went backwards, no tokens are added."""
+        """Use up one token of this key. Returns True if the request is allowed, and False if the key had no token left.
+        `now_s`: time.monotonic(). If the time went backwards, no tokens are added."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)
         if len(self._left) >= MOST_KEYS:  # drop the oldest key, so that invented keys can't fill the memory

@@ -7,8 +7,8 @@ from typing import Any
 
 
 def read(data: str | bytes) -> dict[str, Any]:
-    """The JSON object that was sent. Anything else gives an empty object, for example damaged JSON, or JSON that is
-    nested too deeply."""
+    """Return the JSON object that was sent. Anything else, such as damaged or too deeply nested JSON, gives an empty
+    object."""
     try:
         found = json.loads(data or b"{}")
     except (ValueError, RecursionError):
@@ -17,5 +17,5 @@ def read(data: str | bytes) -> dict[str, Any]:
 
 
 def whole(value: object, most: int) -> int | None:
-    """The value if it is a whole number from 1 to `most`, else None."""
+    """Return the value if it is a whole number from 1 to `most`, else None."""
     return value if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most else None

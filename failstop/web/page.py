@@ -35,8 +35,7 @@ ID_BYTES = 4
 REVOKED = 1008
 """The code that closes the websocket of a device that was unpaired. RFC 6455 calls it "policy violation"."""
 MOST_STOPS = 64
-"""How many STOP websockets may be open. If a page has no STOP websocket, it sends its STOP as a plain request
-instead."""
+"""How many STOP websockets may be open. A page without a STOP websocket sends its STOP as a plain request."""
 
 
 class Page:
@@ -80,8 +79,8 @@ class Page:
         return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
-        """Where the page listens: its scheme, address and port, its certificate's fingerprint, and its origin behind a
-        proxy."""
+        """Return where the page listens: its scheme, address and port, its certificate's fingerprint, and its origin
+        behind a proxy."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
         return {**where, "origin": self.origin}
@@ -101,12 +100,12 @@ class Page:
         return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
     def newest_stop(self) -> int:
-        """The present epoch, which identifies the newest stop. 0 if no service is running."""
+        """Return the present epoch, which identifies the newest stop. 0 if no service is running."""
         self.look()
         return self.watcher.state.epoch if self.watcher.state else 0
 
     def limit(self) -> int:
-        """The present speed limit, in percent of the settings' speeds. 0 if no service is running."""
+        """Return the present speed limit, in percent of the settings' speeds. 0 if no service is running."""
         self.look()
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 

@@ -20,9 +20,9 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """The answer to a plain HTTP request that has arrived at the HTTPS port. It has a sentence for the person. If the
-    request names this robot as its host, the answer also redirects the browser to HTTPS at the same host. The first
-    bytes of the request may be missing."""
+    """Return the answer to a plain HTTP request on the HTTPS port, with a sentence for the person. If the request names
+    this robot as its host, the answer also redirects the browser to HTTPS. The first bytes of the request may be
+    missing."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -38,8 +38,7 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Make sure that a browser which speaks HTTP gets an answer before its TLS connection is closed. `known`: the
-    robot's host names."""
+    """Answer a browser that speaks HTTP before its TLS connection is closed. `known`: the robot's host names."""
     close_fd = stream.close_fd
 
     def answered() -> None:

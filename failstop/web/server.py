@@ -25,7 +25,7 @@ PING_S = 5.0
 
 
 def application(page: Page) -> Application:
-    """The web application, with all paths that the page serves."""
+    """Return the web application, with all paths that the page serves."""
     rows = [
         ("/api/state", handlers.State),
         ("/api/stop", handlers.StopHandler),

@@ -31,12 +31,12 @@ class Socket(Guarded, WebSocketHandler):
     """The base of both websockets."""
 
     def check_origin(self, origin: str) -> bool:
-        """Always True, because the guard has checked the origin already."""
+        """Return True, because the guard has already checked the origin."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """Tell the server that this connection has become a websocket, so that it no longer counts as one of the
-        server's limited connections."""
+        """Tell the server that this connection has become a websocket, so that it no longer counts toward the server's
+        limit."""
         if self.ws_connection and self.ws_connection.stream:
             self.page.let_in(self.ws_connection.stream)
 
@@ -70,7 +70,7 @@ class StopSocket(Socket):
 
     def on_message(self, message: str | bytes) -> None:
         """Request the stop whose id is in the message, before doing anything else. If MOST_ASKED stops of this
-        connection still wait for their answers, a further stop is requested too, but it gets no answer."""
+        connection still wait for their answers, a further stop is still requested, but gets no answer."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
@@ -96,9 +96,8 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Let the guard check the request, and check that the number of viewers is below MOST_VIEWERS. If the page
-        already has MOST_VIEWERS, a paired device takes the place of a viewer that is not paired. Every other new viewer
-        is refused."""
+        """Let the guard check the request. If the page already has MOST_VIEWERS, a paired device takes the place of a
+        viewer that is not paired, and every other new viewer is refused."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]

@@ -16,13 +16,13 @@ class Source:
     """True if the settings come from the running service."""
 
     def described(self) -> str:
-        """A description for people, for example the file's path."""
+        """Return a description for people, for example the file's path."""
         if self.running:
             return "the settings of the running service"
         return self.path or "the defaults, because no settings file was found"
 
     def remedy(self, change: str) -> str:
-        """What a person must do to change a setting. `change`: the new line for the settings file."""
+        """Describe what a person must do to change a setting. `change`: the new line for the settings file."""
         if self.running:
             return f"set {change} in the service's settings file, then restart the service and the page"
         if self.path:

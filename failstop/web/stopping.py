@@ -72,8 +72,8 @@ class Pipe:
 
 
 class Asked:
-    """The latest stops that pages requested. A page may send the same stop twice with the same id, by websocket and as
-    a plain request. The two requests count as one stop."""
+    """Requests the stops that pages ask for. A page may send the same stop twice with the same id, by websocket and as
+    a plain request, but the stop is requested only once."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -103,9 +103,9 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner or
-    the supervisor reports that it has written a stop. The supervisor writes the stop itself if no port owner can do it.
-    Returns False if the stop was not written within WRITTEN_S, or if no service is running."""
+    """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner
+    reports a written stop, or the supervisor, which writes the stop if no port owner can. Returns False if no stop was
+    written within WRITTEN_S, or if no service is running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

@@ -31,7 +31,7 @@ OPENSSL_S = 30.0
 
 
 def folder(name: str, environ: Mapping[str, str]) -> str:
-    """The folder for the page's files: systemd's $STATE_DIRECTORY, else a folder below $XDG_STATE_HOME or
+    """Return the folder for the page's files: systemd's $STATE_DIRECTORY, else a folder below $XDG_STATE_HOME or
     ~/.local/state."""
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
@@ -40,8 +40,8 @@ def folder(name: str, environ: Mapping[str, str]) -> str:
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """The folders in which the running page of this service may have its files: this user's folder, and the system's. A
-    command such as `failstop web pair` looks for the page in both folders."""
+    """Return the folders in which the running page of this service may have its files: this user's folder, and the
+    system's. A command such as `failstop web pair` looks for the page in both folders."""
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
@@ -58,12 +58,12 @@ class Storage:
             _fail(place, error)
 
     def path(self, name: str) -> str:
-        """The path of a file in the folder."""
+        """Return the path of a file in the folder."""
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:
-        """The paired devices. Raises FailstopError if their file can't be read, because otherwise all devices would
-        lose their rights without a message."""
+        """Return the paired devices. Raises FailstopError if their file can't be read, because otherwise all devices
+        would lose their rights without a message."""
         try:
             with open(durable.open_own(self.path(DEVICES)), "rb") as file:
                 return Devices.load(file.read())
@@ -79,9 +79,9 @@ class Storage:
         self._write(DEVICES, devices.dump())
 
     def keep_fewer(self, devices: Devices) -> None:
-        """Save the devices after one was revoked. If the disk is full, no new file can be written, so this overwrites
-        the old file in place. If the computer crashes while the file is overwritten, the file may be damaged. The page
-        does not start with a damaged file, so no device gets rights by mistake. Raises FailstopError."""
+        """Save the devices after one was revoked. If the disk is full, this overwrites the old file in place, because
+        no new file can be written. A crash at that moment may damage the file. The page does not start with a damaged
+        file, so no device gets rights by mistake. Raises FailstopError."""
         try:
             self.keep(devices)
         except FailstopError as error:
@@ -109,8 +109,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """The TLS context for HTTPS. It uses the page's own certificate, which is made at the first start, and again
-        before it expires. Raises FailstopError."""
+        """Return the TLS context for HTTPS. It uses the page's own certificate, which is made at the first start, and
+        again before it expires. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -122,7 +122,7 @@ class Storage:
         return context
 
     def fingerprint(self) -> str:
-        """The SHA-256 of the certificate, in the form that browsers show. Empty if there is no certificate."""
+        """Return the SHA-256 of the certificate, in the form that browsers show. Empty if there is no certificate."""
         try:
             with open(self.path(CERTIFICATE), encoding="ascii") as file:
                 found = sha256(ssl.PEM_cert_to_DER_cert(file.read())).hexdigest().upper()
@@ -131,7 +131,7 @@ class Storage:
         return ":".join(found[at : at + 2] for at in range(0, len(found), 2))
 
     def _valid(self) -> bool:
-        """True if the certificate exists and does not expire within the next RENEW_S."""
+        """Return True if the certificate exists and does not expire within the next RENEW_S."""
         if not (os.path.exists(self.path(KEY)) and os.path.exists(self.path(CERTIFICATE))):
             return False
         words = ("x509", "-in", self.path(CERTIFICATE), "-noout", "-checkend", str(int(RENEW_S)))

@@ -34,7 +34,7 @@ MOST_EVENTS = 40
 
 
 def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
-    """All values that change seldom. `events`: the events of this run, the oldest first."""
+    """Return all values that change seldom. `events`: the events of this run, the oldest first."""
     state = verdict.seen_since(state, events, now_s)
     word = verdict.large_word(state, events)
     return {
@@ -76,15 +76,16 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """The values that change all the time, as a list: forward, left and turning speed, vibration (mrad/s, or None while
-    the IMU is silent), the age of the gate's record (ms), the steering in words, and what the wheels are seen to do."""
+    """Return the values that change all the time, as a list: forward, left and turning speed, vibration (mrad/s, or
+    None while the IMU is silent), the age of the gate's record (ms), the steering in words, and what the wheels are
+    seen to do."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
 
 
 def absent(note: str) -> dict[str, Any]:
-    """The values to show if no service is running. `note`: why there is none."""
+    """Return the values to show if no service is running. `note`: why there is none."""
     return {
         "name": "",
         "word": verdict.NO_SERVICE,
@@ -118,8 +119,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """The last stop, with its three proofs in words. The text of a proof is empty if the proof is missing, and `lacks`
-    then has the reason, if it is known. None if there was no stop."""
+    """Return the last stop, with its three proofs in words. The text of a proof is empty if the proof is missing, and
+    `lacks` then has the reason, if it is known. None if there was no stop."""
     if stop is None:
         return None
     return {
@@ -137,20 +138,20 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def unlatched_of(event: Event | None) -> dict[str, Any] | None:
-    """What stopped the wheels after the last latched stop, and why it has no times."""
+    """Return what stopped the wheels after the last latched stop, and why it has no times."""
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
 
 
 def _unseen(stop: Stop) -> str:
-    """Why nobody saw the wheels come to rest after this stop. Empty if the reason is not known."""
+    """Return why nobody saw the wheels come to rest after this stop. Empty if the reason is not known."""
     if not stop.observed_by:
         return "no IMU"
     return "" if stop.observed_s is None else proofs.NEVER_SEEN[stop.observed_by]
 
 
 def _written(stop: Stop) -> str:
-    """How long it took until the stop's bytes were sent, in words. Empty if the bytes were not sent, or if the kernel
-    still holds them back."""
+    """Return how long it took until the stop's bytes were sent, in words. Empty if the bytes were not sent, or if the
+    kernel still holds them back."""
     if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
@@ -164,7 +165,7 @@ def _why(state: State) -> str:
 
 
 def _held(state: State) -> str:
-    """Why the wheels are stopped, or else how they move."""
+    """Return why the wheels are stopped, or else how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause, verdict.reached(state))[0])
     if state.block is Block.HELD and (source := state.source_that("held")):
@@ -175,8 +176,8 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """For each of the requests reset, enable and disable, a few words that say why it would be refused at present.
-    Empty for a request that would be granted."""
+    """Return, for each of the requests reset, enable and disable, a few words that say why it would be refused at
+    present. Empty for a request that would be granted."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
@@ -185,7 +186,7 @@ def _obstacles(state: State) -> dict[str, str]:
 
 
 def _first(state: State, goal: Purpose) -> str:
-    """The first thing that must be done before a request can be granted. Empty if nothing must be done."""
+    """Return the first thing that must be done before a request can be granted. Empty if nothing must be done."""
     first = next(iter(steps.before(state, goal)), None)
     if first is None:
         return ""

@@ -20,11 +20,11 @@ class Viewer(Closing, Protocol):
     """A connection to somebody who watches the robot's state."""
 
     def device(self) -> Device | None:
-        """The paired device that this viewer uses. None if the device is not paired, so the viewer may only watch and
-        stop."""
+        """Return the paired device that this viewer uses. None if the device is not paired, so the viewer may only
+        watch and stop."""
 
     def who(self) -> str:
-        """The viewer's name, to show to people."""
+        """Return the viewer's name, to show to people."""
 
     def show(self, now_s: float, unix_s: float) -> None:
         """Send the newest values. `now_s`: CLOCK_MONOTONIC, s. `unix_s`: Unix time, s."""

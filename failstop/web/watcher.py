@@ -17,11 +17,11 @@ PERIOD_S = 0.1
 SLOW_S = 0.5
 """How often to update the values that people read, s. If something important changes, they are updated at once."""
 AGAIN_S = 0.5
-"""While no service is running, the time between two attempts to find a service, s."""
+"""The time between two attempts to find a service while none is running, s."""
 
 
 class Watcher:
-    """The robot's newest state, and the values that the page shows."""
+    """Reads the robot's state, and makes the values that the page shows."""
 
     def __init__(self, name: str) -> None:
         self.name = name
