@@ -39,8 +39,8 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """The second step of the setup: the board. Returns the board's kind, and the settings in which this board differs
-    from the defaults. Raises Left."""
+    """Find out the board, as the second step of the setup. Returns the board's kind, and the settings in which this
+    board differs from the defaults. Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:

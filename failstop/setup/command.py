@@ -50,11 +50,10 @@ QUESTIONS = {
     "file": "where to write the settings",
     "replace": "replace: overwrite the file if it exists (a copy of the old file is kept)",
 }
-"""All questions of the setup. For the key of each question, the help text of the command-line option that answers the
-question."""
+"""The setup's questions. For each key, the help text of the command-line option that answers the question."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
-"""For some verdicts of a stand test that did not pass, a text that says what to do. For all other verdicts, ROWS_SAY is
+"""What to do after a stand test that did not pass, for some of the verdicts. For all other verdicts, ROWS_SAY is
 shown."""
 UNMOVED = "no wheel was turned"
 NOTHING = "no settings were written"
@@ -131,8 +130,8 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
 
 
 def _resume(talk: Talk) -> None:
-    """If an earlier setup was left early, show its answers and ask whether to continue with them. If the person says
-    no, the answers are deleted."""
+    """If an earlier setup was left early, show its answers and ask whether to continue with them. If not, delete
+    them."""
     answers = talk.draft.answers
     if not answers:
         return
@@ -146,7 +145,7 @@ def _resume(talk: Talk) -> None:
 
 
 def layouts_of(kind: str) -> list[str]:
-    """The kinds of base that a board of this kind can drive."""
+    """Return the kinds of base that a board of this kind can drive."""
     return drivable(kind, speeds_of(kind) or board_of(kind, 1.0, 0.0).wheels)
 
 

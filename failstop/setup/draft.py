@@ -16,14 +16,14 @@ MOST_BYTES = 65536
 
 
 class Draft:
-    """The answers, each with the key of its question. An answer is saved before the next question is asked."""
+    """Keeps the answers, each under the key of its question. An answer is saved before the next question is asked."""
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
         """Reads the answers of an earlier setup, if there are any. `name`: the name of the service."""
         self.path = os.path.join(state_directory(name, environ), FILE)
         self.answers = self._read()
         self.unwritten = ""
-        """Why an answer could not be saved. It is empty while all answers are saved."""
+        """Why an answer could not be saved. Empty while all answers are saved."""
 
     def _read(self) -> dict[str, str]:
         try:

@@ -39,9 +39,9 @@ CONSENT = "spin\n"
 """The word that `failstop prove` wants to read before it turns the wheels."""
 FROZEN = "frozen"
 GIVES_UP = 3
-"""How many signals kill a hanging command. The first Ctrl-C ends the stand test. If the board is unplugged at that
-time, the test waits until the board is plugged in again. The second Ctrl-C ends this waiting. So only the third signal
-kills."""
+"""How many signals it takes to kill a hanging command. The first Ctrl-C ends the stand test. If the board is unplugged
+at that time, the test waits until the board is plugged in again. The second Ctrl-C ends this waiting. So only the third
+signal kills."""
 REPLACE = "replace"
 NOT_YET = "service"
 """The name of the check that setup leaves out when it runs the doctor's checks. The check needs a running service, but
@@ -50,7 +50,8 @@ RESULT = "result.json"
 
 
 def watchdog(talk: Talk, kind: str) -> None:
-    """The fifth step of the setup: tell the person what the board's own watchdog does, or that the board has none."""
+    """Tell the person what the board's own watchdog does, or that the board has none. This is the fifth step of the
+    setup."""
     talk.step(5, "The board's own watchdog")
     seconds, does = watchdog_of(kind)
     if not seconds:
@@ -64,8 +65,8 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
-    """The sixth step of the setup: run the short stand test with these settings. Returns the evidence of the test, or
-    an empty dict if no test was made. If a signal such as Ctrl-C ends the test, `halt` stops the wheels, and
+    """Run the short stand test with these settings, as the sixth step of the setup. Returns the evidence of the test,
+    or an empty dict if no test was made. If a signal such as Ctrl-C ends the test, `halt` stops the wheels, and
     KeyboardInterrupt is raised."""
     talk.step(6, "The proof")
     if not here("prove"):
@@ -139,7 +140,7 @@ def _runs(folder: str) -> set[str]:
 
 
 def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
-    """The text of the settings file: a head that names the robot and the result of its stand test, then the
+    """Return the text of the settings file: a head that names the robot and the result of its stand test, then the
     settings."""
     day = time.strftime("%Y-%m-%d")
     proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
@@ -270,14 +271,14 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """The command that tests this robot on its stand. The command has the option --config with `path`, because it would
-    otherwise test with the installed settings file. If `path` is the installed file, the option is left out."""
+    """Return the command that tests this robot on its stand. It names the settings file at `path`, unless that is the
+    installed file, which is the default."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 
 
 def commands(path: str, name: str) -> list[str]:
-    """The commands that start the service, enable motion, and drive the robot. The person types them after the
+    """Return the commands that start the service, enable motion, and drive the robot. The person types them after the
     setup."""
     installed = config.installed(name)
     where = option(name)

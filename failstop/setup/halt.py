@@ -22,7 +22,7 @@ from failstop.procs.telemetry.readback import ReadBack
 from failstop.setup.ending import noted
 
 FREE_S = 5.0
-"""How long to keep trying, s, if the port exists but refuses the stop. Another process may be about to close the
+"""How long to keep trying a port that exists but refuses the stop, s. Another process may be about to close the
 port."""
 WAITS_S = 300.0
 """How long to wait for an unplugged port, s."""
@@ -109,8 +109,8 @@ class Halt:
         return Halted(self._path, written=True, confirms=confirms, confirmed=confirmed, still=still)
 
     def _confirmed(self, tap: Tap) -> bool:
-        """Ask the board a question after the stop. Returns True if the board has answered. Until the board answers, the
-        stop and the question are repeated. Returns False if the board has not answered within CONFIRMS_S."""
+        """Ask the board a question after the stop, and repeat the stop and the question until the board answers.
+        Returns False if it has not answered within CONFIRMS_S."""
         deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
         hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:

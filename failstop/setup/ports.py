@@ -32,7 +32,7 @@ RASPBERRY = "Raspberry Pi"
 
 
 def listed(system: System) -> dict[str, str]:
-    """The ports to which the board may be connected: for each path, a description for people."""
+    """Return the ports to which the board may be connected: for each path, a description for people."""
     own = {usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}
     found = {}
     for path, what in system.ports(own):
@@ -46,13 +46,13 @@ def listed(system: System) -> dict[str, str]:
 
 
 def nodes() -> set[str]:
-    """The paths of all serial devices that exist at this moment."""
+    """Return the paths of all serial devices that exist at this moment."""
     return {path for pattern in NODES for path in glob.glob(pattern)}
 
 
 def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
-    """A path for the port that stays the same when the board is plugged in again. If the port has no stable path, this
-    returns `path` itself.
+    """Return a path for the port that stays the same when the board is plugged in again. If the port has no stable
+    path, this returns `path` itself.
 
     failstop's udev rule makes a name from the port's chip, and the folder by-id has a name that is made from what the
     device reports about itself. If a second device of the same kind is plugged in, it could get either name. So a name
@@ -89,8 +89,8 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
 
 
 def is_serial(path: str) -> bool:
-    """True if the kernel lists the device as a serial port. Also True for a pseudo-terminal, because the kernel does
-    not say what a pseudo-terminal is."""
+    """Return True if the kernel lists the device as a serial port. Also True for a pseudo-terminal, because sysfs does
+    not list pseudo-terminals."""
     number = os.stat(path).st_rdev
     subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
     return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
@@ -143,8 +143,8 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """The reasons why the serial pins of a Raspberry Pi can't be used as a port, with the remedies. The list is empty
-    if the pins can be used, or if this computer is not a Raspberry Pi."""
+    """Return the reasons why the serial pins of a Raspberry Pi can't be used as a port, with the remedies. The list is
+    empty if the pins can be used, or if this computer is not a Raspberry Pi."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
         advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
@@ -153,7 +153,7 @@ def pins(system: System) -> list[Finding]:
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """The reasons why failstop can't open this port, or must share it with another program. The list is empty if
+    """Return the reasons why failstop can't open this port, or must share it with another program. The list is empty if
     failstop can use the port alone."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
@@ -176,7 +176,7 @@ def _let_end(path: str, system: System) -> None:
 
 
 def step(talk: Talk, system: System) -> str:
-    """The first step of the setup: the port. Returns its path. Raises Left."""
+    """Find the board's port, as the first step of the setup. Returns its path. Raises Left."""
     talk.step(1, "The port")
     path = choose(talk, system)
     try:

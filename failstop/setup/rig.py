@@ -54,8 +54,8 @@ Velocity = tuple[float, float, float]
 
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
-    """Returns settings and a velocity that together turn only one wheel, the wheel with the id `id_`. The motor turns
-    in its own forward direction. The wheel may turn backward, because that depends on the motor's wiring.
+    """Return settings and a velocity that together turn only one wheel, the wheel with the id `id_`. The motor turns in
+    its own forward direction. The wheel may turn backward, because that depends on the motor's wiring.
 
     `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
     speeds, the board must have ids for at least three wheels.
@@ -83,13 +83,13 @@ def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -
 
 
 def rim_mps(rps: float, diameter_m: float) -> float:
-    """The speed of a wheel's rim, m/s, at this many turns per second."""
+    """Return the speed of a wheel's rim, m/s, at this many turns per second."""
     return rps * pi * diameter_m
 
 
 def toml(values: Mapping[str, object]) -> str:
-    """The text of a settings file with these values. Each line has the whole key, so that a person can add a line
-    anywhere. All texts must be printable."""
+    """Return the text of a settings file with these values. Each line has the whole key, so that a person can add a
+    line anywhere. All texts must be printable."""
     groups: dict[str, list[str]] = {}
     for key, value in values.items():
         groups.setdefault(key.rpartition(".")[0], []).append(f"{key} = {json.dumps(value)}\n")
@@ -209,8 +209,7 @@ class Rig:
             self._hear(entry[2], places)
 
     def _stand(self) -> None:
-        """Stop the wheels, and wait until the board reports that they are stopped. After that, setup asks the person
-        which wheel has turned. Raises Left."""
+        """Stop the wheels, and wait until the board reports that they are stopped. Raises Left."""
         assert self._robot
         epoch = self._robot.state.epoch
 
@@ -244,7 +243,7 @@ class Rig:
             self.turned[id_] = float((way > 0) - (way < 0))
 
     def _why(self) -> str:
-        """Why the wheels are stopped, in a few words. Empty if the reason is not known."""
+        """Return why the wheels are stopped, in a few words. Empty if the reason is not known."""
         with contextlib.suppress(FailstopError):
             if self._robot:
                 state = self._robot.state

@@ -51,6 +51,6 @@ def read(path: Path) -> Known:
 
 
 def of_kind(kind: str) -> dict[str, Known]:
-    """The robots that have this kind of board, each under its key, sorted by name. Raises SettingError."""
+    """Return the robots that have this kind of board, each under its key, sorted by name. Raises SettingError."""
     found = [read(path) for path in sorted(FOLDER.glob("*.toml"))]
     return {robot.key: robot for robot in sorted(found, key=lambda robot: robot.name) if robot.kind == kind}

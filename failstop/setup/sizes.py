@@ -22,13 +22,13 @@ LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 
 
 def answer_key(key: str) -> str:
-    """The key of the question about a setting, for example `track_m` for `wheels.track_m`."""
+    """Return the key of the question about a setting, for example `track_m` for `wheels.track_m`."""
     return key.partition(".")[2]
 
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
-    """The fourth step of the setup: sizes and limits. If `known`, failstop knows this robot's sizes and offers them as
-    defaults. Otherwise it offers no sizes. Raises Left."""
+    """Ask for the sizes and limits, as the fourth step of the setup. If `known`, failstop knows this robot's sizes and
+    offers them as defaults. Otherwise it offers no sizes. Raises Left."""
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
@@ -49,7 +49,8 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
 
 
 def _asked(key: str) -> str:
-    """The question about a setting, in one line: the first sentence of the setting's description, then its unit."""
+    """Return the question about a setting, in one line: the first sentence of the setting's description, then its
+    unit."""
     declared = declaration(key)
     return f"{declared.doc.partition('. ')[0]}, {declared.unit}"
 
@@ -67,6 +68,6 @@ OPTIONS = {
     answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
-"""All questions about sizes and limits. For the key of each question, the help text of the command-line option that
-answers the question."""
+"""The questions about sizes and limits. For each key, the help text of the command-line option that answers the
+question."""
 assert all(option(key).startswith("--") for key in OPTIONS)

@@ -88,7 +88,7 @@ class Talk:
         self.say(f"{key.replace('_', ' ')}: {found} ({by})", style.DIM)
 
     def known(self, key: str) -> bool:
-        """True if the question has been answered already, by an option or in an earlier setup."""
+        """Return True if the question has been answered already, by an option or in an earlier setup."""
         return key in self.given or key in self.draft.answers
 
     def _typed(self, key: str, question: str, default: str, check: Check) -> str:
@@ -132,7 +132,7 @@ def read_line(prompt: str) -> str:
 
 
 def option(key: str) -> str:
-    """The command-line option that answers this question, for example --can-id for `can_id`."""
+    """Return the command-line option that answers this question, for example --can-id for `can_id`."""
     return f"--{key.replace('_', '-')}"
 
 
@@ -147,7 +147,7 @@ def yes_or_no(answer: str) -> str:
 
 
 def one_of(choices: Mapping[str, str]) -> Check:
-    """Returns a check for a choice from a list. `choices` has a name and a description for each. The person types the
+    """Return a check for a choice from a list. `choices` has a name and a description for each. The person types the
     name, or its number counted from 1."""
     names = list(choices)
 
@@ -162,8 +162,7 @@ def one_of(choices: Mapping[str, str]) -> Check:
 
 
 def word_of(words: Sequence[str]) -> Check:
-    """Returns a check for one of these words. The beginning of a word is enough if no other word begins the same
-    way."""
+    """Return a check for one of these words. The beginning of a word is enough if no other word begins the same way."""
 
     def check(answer: str) -> str:
         if (found := begun(answer, words)) is None:
@@ -174,15 +173,15 @@ def word_of(words: Sequence[str]) -> Check:
 
 
 def begun(answer: str, words: Sequence[str]) -> str | None:
-    """The word that the person meant. It is the word that equals the answer, or else the only word that begins with the
-    answer. None if no word begins with the answer, or if several words do."""
+    """Return the word that the person meant: the word that equals the answer, or else the only word that begins with
+    it. None if no word begins with the answer, or if several words do."""
     text = answer.lower().strip()
     found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
     return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:
-    """Returns a check for a number between these limits. `unit`: the unit that a person may type after the number, or
+    """Return a check for a number between these limits. `unit`: the unit that a person may type after the number, or
     empty for a number without a unit."""
     range_ = f"{least:g} to {most:g}{f', in {unit}' if unit else ''}"
 

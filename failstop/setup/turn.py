@@ -1,10 +1,9 @@
 """Turn: finds out how many of the board's units make one turn of a wheel. This needs a person, because the board can't
 know that number.
 
-Many boards use one scale both for the speeds that they are commanded to drive and for the speeds that they report. So
-the two speeds agree even if the scale is wrong, and comparing them shows nothing. Instead, a person turns a wheel by
-hand, and the change of the board's counts shows the true scale. If no wheel can be turned by hand, failstop drives a
-wheel slowly, and the person counts its turns.
+Many boards use the same scale for the speeds that are commanded and for the speeds that are reported. So the two speeds
+agree even if the scale is wrong. Instead, a person turns a wheel by hand, and the change of the board's counts shows
+the true scale. If no wheel can be turned by hand, failstop drives a wheel slowly, and the person counts its turns.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
 """How many counts a position must change to count as a turn. A smaller change is play or noise."""
 OTHERS = 0.2
-"""The largest share by which any other wheel may have moved, compared with the wheel that the person has turned. If
-another wheel has moved further, the person has turned two wheels."""
+"""How far any other wheel may have moved, as a share of the counts of the wheel that the person has turned. If another
+wheel has moved further, the person has turned two wheels."""
 MOST_TURNS = 100.0
 
 
@@ -119,7 +118,7 @@ def by_hand(talk: Talk, device: str, board: Board) -> str | None:
 
 
 def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
-    """The newest wheel positions that the board reports. Raises Left."""
+    """Return the newest wheel positions that the board reports. Raises Left."""
     with contextlib.suppress(BlockingIOError):
         tap.read()  # discard old reports
     until_s = time.monotonic() + REPORTS_S + board.port.deaf_ns / 1e9
@@ -135,7 +134,7 @@ def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
 
 
 def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) -> list[float]:
-    """How far each position has changed, without a sign."""
+    """Return how far each position has changed, without a sign."""
     steps = [now - then for then, now in zip(before, after, strict=True)]
     if wraps:
         steps = [(step + wraps / 2) % wraps - wraps / 2 for step in steps]
@@ -143,8 +142,8 @@ def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) ->
 
 
 def _wrong(counts: list[float]) -> str:
-    """Check the changes of the wheels' counts after a person has turned a wheel. Returns a text about the problem if no
-    wheel or several wheels have moved. Empty if exactly one wheel has moved."""
+    """Check how far the wheels' counts have changed after a person has turned a wheel. Returns a text about the problem
+    if no wheel or several wheels have moved. Empty if exactly one wheel has moved."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
         return "The board counted nothing: is that wheel's encoder plugged in?"
@@ -180,8 +179,8 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """The corrected value of board.per_rps. According to the present value, the wheel has made `told` turns. The person
-    has counted `turns`."""
+    """Return the corrected value of board.per_rps. `told`: the number of turns according to the present value. `turns`:
+    the number of turns that the person has counted."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

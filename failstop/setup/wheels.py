@@ -32,12 +32,12 @@ SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
 def short(name: str) -> str:
-    """The short name of a wheel: `front left` becomes `fl`, and `left` stays `left`."""
+    """Return the short name of a wheel: `front left` becomes `fl`, and `left` stays `left`."""
     return "".join(word[0] for word in name.split()) if " " in name else name
 
 
 def names(count: int) -> list[str]:
-    """The short names of a robot's wheels, in the order of the wheels' numbers."""
+    """Return the short names of a robot's wheels, in the order of the wheels' numbers."""
     return [short(name) for name in WHEEL_NAMES[count]]
 
 
@@ -65,8 +65,8 @@ def stand(talk: Talk) -> None:
 
 
 class Trial:
-    """The third step of the setup: turns the wheels, and asks the person which wheel has turned, and in which
-    direction."""
+    """Turns the wheels, and asks the person which wheel has turned, and in which direction. This is the third step of
+    the setup."""
 
     def __init__(self, talk: Talk, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`values`: the settings so far. `halt` stops the wheels of this board. Raises SettingError."""
@@ -157,8 +157,8 @@ class Trial:
 
     def _scale(self) -> dict[str, object]:
         """Compare the wheels' measured speed with the commanded speed. If they differ, return the corrected scale as
-        settings, else nothing. It returns nothing for a board whose reports depend on the setting board.per_rps,
-        because such reports agree with the commands even if the scale is wrong."""
+        settings, else nothing. Also return nothing for a board whose reports depend on board.per_rps, because they
+        agree with the commands even if the scale is wrong."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
