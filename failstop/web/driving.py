@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SOURCE = "page"
 """The source for the page's commands, if the settings declare it. Otherwise the page commands as cmd_vel."""
 OTHER_S = 0.5
-"""How long another person must wait after the driver's last command before driving, s."""
+"""How long another person must wait after the driver's last command, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
@@ -68,8 +68,8 @@ class Driving:
         before driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """Return True if the operator of this device has chosen a speed limit, or needs to choose none, because driving
-        is off or the device is not paired."""
+        """Return True if the operator of this device has chosen a speed limit. Also return True if no choice is needed,
+        because driving is off or the device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:

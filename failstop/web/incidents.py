@@ -39,7 +39,7 @@ class Made:
 
 class Incidents:
     """Lists the incidents of one service, and makes one story or picture at a time. If a story is not made yet, the
-    viewer gets an answer at once that says so."""
+    viewer gets an answer at once, which says so."""
 
     def __init__(self, name: str) -> None:
         self._name = name

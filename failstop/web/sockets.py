@@ -70,7 +70,7 @@ class StopSocket(Socket):
 
     def on_message(self, message: str | bytes) -> None:
         """Request the stop whose id is in the message, before doing anything else. If MOST_ASKED stops of this
-        connection still wait for their answers, a further stop is still requested, but gets no answer."""
+        connection still wait for their answers, a further stop is requested too, but gets no answer."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:

@@ -39,7 +39,7 @@ DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_I
 
 END_SERVICE_S = 12.0
 """How long the whole command may take with --end-service, in seconds. This is less than TimeoutStopSec of the systemd
-unit, because systemd kills this program after that time."""
+unit, after which systemd kills this program."""
 STALLED_S = 1.0
 """With --end-service, how long to try a port that exists but accepts no bytes, in seconds. After that, the systemd unit
 failstop-late@ keeps trying to write the stop."""
@@ -279,8 +279,8 @@ class Target:
         """The port to which the stop was written because the port of the last run could not be used, and the uid of the
         user whose settings file names this port. ("", 0) if the stop was not written this way."""
         self._stopped = False
-        """True once a stop was written. Only then may the user's own Python code for the board run. That code is needed
-        to ask the board for an answer."""
+        """True once a stop was written. After that, board() may run the user's own Python code for the board, which is
+        needed to ask the board for an answer."""
 
     def wanted(self) -> str:
         """Return the port that the user has named, with an option or in the file given with --config. Empty if there is
@@ -311,8 +311,8 @@ class Target:
 
     def board(self) -> Board:
         """Return the board at the port. Its kind comes from the last run if that run used the same port, else from the
-        settings file. Before the stop is written, this never runs the user's own Python code for a board, but returns
-        the stop that the last run has saved."""
+        settings file. Until the stop is written, this returns the stop that the last run has saved for the user's own
+        kind of board, if there is one, so that the user's Python code need not run first."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:

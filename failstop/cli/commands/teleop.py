@@ -282,8 +282,8 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Send a command, but nothing if another program commands as the same source. A second publisher of a source
-        latches a stop, even if it commands zero speed."""
+        """Send a command. Nothing is sent if another program commands as the same source, because a second publisher of
+        a source latches a stop, even with a command of zero."""
         if wanted is None or self._rival:
             return
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))

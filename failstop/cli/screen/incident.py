@@ -26,7 +26,7 @@ LEAD = 2 + 10 + 2 + LABEL + 2
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
 """The words for the names in Incident.ages()."""
 LEAST_APART_NS = 100_000
-"""The shortest time between two times of a stop for which both are shown, in ns."""
+"""How far apart two times of a stop must be for both to be shown, in ns."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 

@@ -71,8 +71,8 @@ AXES: dict[str, Velocity] = {
 COMMAND_S = 0.3
 """How long one command is valid by default, in seconds (setting gate.command_timeout_s)."""
 ENDS_S = 0.35
-"""How long after its last repeat a key counts as released, in seconds. Usually the service's command timeout stops the
-wheels earlier. If that timeout is longer, teleop's command of zero stops them."""
+"""How long after a key's last repeat the key counts as released, in seconds. Usually the service's command timeout
+stops the wheels earlier. If that timeout is longer, teleop's command of zero stops them."""
 LONGEST_DELAY_S = 0.8
 """The longest time until a terminal begins to repeat a held key, in seconds."""
 REPEAT_S = 0.15
