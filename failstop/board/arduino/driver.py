@@ -34,8 +34,8 @@ _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
 """The highest speed of a wheel, in counts per second."""
 _NEAR_ZERO = _FASTEST / 4
-"""If a counter has jumped and is now at most this far from 0, the board has restarted. A restarted board counts from 0
-again, and failstop asks for its counts so soon that they are still small."""
+"""If a counter has jumped to within this many counts of 0, the board has restarted. It then counts from 0 again, and
+failstop asks so soon that the counts are still small."""
 _WRAPS = 2**32
 _OK = b"OK\r\n"
 _INVALID = b"Invalid Command\r\n"
@@ -45,11 +45,11 @@ PATIENCE_NS = 1_000_000_000
 """How long a driver waits for an answer, in ns. This is the default timeout of diffdrive_arduino, and hbrobotics' node
 waits longer."""
 _LOST_NS = 100_000_000
-"""If the board has not answered a question for its counts after this time, in ns, a driver's next `e` asks it again.
-failstop also asks for the counts itself, ten times a second."""
+"""How long failstop waits for the board's counts before a driver's next `e` makes it ask again, in ns. failstop also
+asks for the counts itself, ten times a second."""
 _STEADY_NS = 200_000_000
-"""A driver's question for counts is answered with the board's answer to the driver's previous question, if that answer
-is younger than this, in ns. An older answer is not used. The driver then gets the newest counts instead."""
+"""The greatest age of the counts from a driver's previous `e` that may answer its next `e`, in ns. If they are older,
+the driver gets the newest counts instead."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -65,19 +65,18 @@ _WITHOUT_EFFECT = {
     ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
-"""Commands that change nothing on the board. Each has its answer, its name, and the reason why it has no effect. `r` is
-not refused. It resets the counts, but failstop keeps the driver's counts itself, so only these become zero."""
+"""Commands that change nothing on the board, each with its answer, its name, and the reason why it has no effect. `r`
+resets the counts and is not refused, because failstop keeps the driver's counts itself and sets only these to zero."""
 
 
 class ArduinoDriver:
-    """One driver's lines, and the counts that failstop reports to this driver. The counts begin at 0. A driver expects
-    this, because without failstop, opening the port resets the board.
+    """Reads the lines that one driver program writes to the guard port, and answers them as the board would. The counts
+    begin at 0, because a driver expects that opening the port resets the board.
 
     When the driver sends `e`, failstop answers at once, and asks the board for new counts. The answer to the driver has
-    the counts that the board reported after the driver's previous `e`. So if a driver asks at a steady rate, its counts
-    are always as old as the time between two of its questions. failstop also reads the counts for its own use, but at
-    other times, so the age of these counts varies. A driver gets these counts only if it asks less often than every 200
-    ms (_STEADY_NS).
+    the counts that the board reported after the driver's previous `e`. So the counts of a driver that asks at a steady
+    rate always have the same age. failstop also asks for counts for its own use, at other times. A driver gets those
+    counts only if it asks less often than every 200 ms (_STEADY_NS), because their age varies.
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
@@ -96,8 +95,7 @@ class ArduinoDriver:
         """The board's counters in its newest report."""
         self._counted_ns = 0
         self._counts = [0, 0]
-        """The newest counts, with the zero point that the driver knows: 0 when the driver opened the port, or when it
-        sent `r`."""
+        """The newest counts since the driver opened the port or last sent `r`."""
         self._kept, self._kept_ns = [0, 0], -_STEADY_NS
         """The counts that the board reported after the driver's newest `e`, and the time of this report."""
 
@@ -120,8 +118,8 @@ class ArduinoDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the counts that the board reports. Always returns an empty list, because the board sends only answers,
-        and failstop has already answered the driver itself."""
+        """Store the counts that the board reports. Always returns an empty list, because the board sends only answers,
+        and failstop answers the driver itself."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
                 left, right = sample.positions
@@ -131,8 +129,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Copy the driver's counts from `before`, which is the driver's ArduinoDriver until the service restarted. If
-        the counts began at zero again, the driver's odometry would jump."""
+        """Copy the driver's counts from `before`, the ArduinoDriver that this driver had before the service restarted.
+        If the counts began at zero again, the driver's odometry would jump."""
         self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -175,7 +173,7 @@ class ArduinoDriver:
         return [DriverRefusal(what, why), DriverMotion(_REST, refused=True), DriverAnswer(_INVALID)]
 
     def _ask(self, now_ns: int) -> list[Row]:
-        """Return the question for the board's counts. Returns an empty list while an earlier question waits for its
+        """Return the question for the board's counts, or an empty list while an earlier question waits for its
         answer."""
         if self._asked_ns and now_ns - self._asked_ns < _LOST_NS:
             return []

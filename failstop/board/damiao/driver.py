@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 PATIENCE_NS = 1_000_000_000
 """How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""A new DamiaoDriver is first given what the motors sent during this time before the driver opened the port, in ns.
-Every motor sends at least one report in this time."""
+"""How far back a new DamiaoDriver gets what the motors sent before the driver opened the port, in ns. Every motor sends
+at least one report in this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
@@ -46,7 +46,7 @@ one."""
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
-"""The modes of a motor. A command has the CAN id 0x100 times the mode plus the id of the motor."""
+"""The modes of a motor. The CAN id of a command is 0x100 times the mode, plus the id of the motor."""
 _NO_SPEED = {_MIT: "an MIT command", _POSITION: "a position", _FORCE: "a position with a force"}
 _STORE = 0xAA
 _USE_SPEEDS = "its speed can't be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"
@@ -61,7 +61,7 @@ _BIT_RATE = DriverRefusal("another bit rate of the CAN", "the adapter stays at 1
 
 
 class DamiaoDriver:
-    """One driver's lines, and the answers to them."""
+    """Reads the lines that one driver program writes to the guard port, and answers them as the motors would."""
 
     def __init__(self, motors: int) -> None:
         """`motors` is the number of motors. Their CAN ids are counted from 1."""
@@ -69,9 +69,9 @@ class DamiaoDriver:
         self._speeds = [0.0] * motors
         self._enabled = [True] * motors
         self._takes_speeds = [True] * motors
-        """True for each motor that is in speed mode. It becomes False if the driver asks for another mode, or writes a
-        line that could mean anything. It becomes True again when the driver sets the speed mode, or reads from the
-        motor that it is set."""
+        """True for each motor that the driver has in speed mode. It becomes False if the driver asks for another mode,
+        or writes a line that could mean anything. It becomes True again when the driver sets the speed mode, or finds
+        it set when it reads the mode from the motor."""
         self._open = True
         self._line = b""
         self._heard = slcan.Lines()
@@ -87,7 +87,7 @@ class DamiaoDriver:
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep the motors' reports, because failstop answers the driver's next frames with them. Returns the motors'
+        """Store the motors' reports, because failstop answers the driver's next frames with them. Returns the motors'
         answers about registers that the driver has asked for."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):

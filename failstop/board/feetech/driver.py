@@ -5,12 +5,11 @@ Packets are read byte by byte, as a servo reads them. A servo waits forever for 
 back to a byte that it has already read. Only the wheels' goal speeds move anything. What the driver reads comes from a
 table for each servo. At first the table has the ranges and offsets of the settings, and the values to which LeKiwi's
 servos are set. If the driver writes a wheel's goal speed, a torque or the lock, the table keeps this value. Addresses
-56 to 64 have what the servo reported last. While the servo has not reported one of these values, a question for the
-value gets no answer.
+56 to 64 have what the servo reported last. Until the servo has reported a value, questions for it get no answer.
 
-All other questions, and all writes to one servo, are answered, even if the write is refused. Otherwise LeRobot's host
-would exit, because it does so when an answer is missing. Only the wheels and the joints of the settings answer. To the
-driver, all other servos seem to be unplugged.
+All other questions, and all writes to one servo, are answered, even if the write is refused, because LeRobot's host
+exits when an answer is missing. Only the wheels and the joints of the settings answer. To the driver, all other servos
+seem to be unplugged.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """
@@ -31,9 +30,9 @@ PATIENCE_NS = 34_000_000
 50 ms. If an answer came too late, the host would take it for the answer to its next question. From then on, the host
 would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""A new FeetechDriver is first given what the servos sent during this time before the driver opened the port, in ns. A
-host asks for the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position
-only about every two seconds, so a shorter time might not be enough."""
+"""How far back a new FeetechDriver gets what the servos sent before the driver opened the port, in ns. A host asks for
+the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position only about
+every two seconds, so a shorter time might not be enough."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
@@ -46,7 +45,7 @@ _SENSORS = 56
 _KNOWN_TO = 65
 """failstop reads a servo's memory only up to this address."""
 _SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
-"""The values to which LeRobot sets every servo, by address. The gains (21 to 23) are those that LeRobot uses for the
+"""The values that LeRobot writes to every servo, by address. The gains (21 to 23) are those that LeRobot uses for the
 arm."""
 _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
@@ -58,15 +57,15 @@ _BY_ID = "at the guard port, servos must be written one by one"
 
 
 class FeetechDriver:
-    """One driver's packets, and what the driver can read of each servo."""
+    """Reads the packets that one driver program writes to the guard port, and answers them as the servos would."""
 
     def __init__(self, joints: Mapping[int, tuple[int, int, int]]) -> None:
-        """`joints` has the lowest and highest position and the homing offset of each servo of the arm, in steps."""
+        """`joints` has (lowest position, highest position, homing offset) for each servo of the arm, in steps."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
         self._memory = {wheel: _memory(wheel, 0, codec.TURN - 1, 0, mode=1) for wheel in codec.WHEELS}
         self._memory |= {servo: _memory(servo, *told, mode=0) for servo, told in joints.items()}
         self._heard_of: dict[int, set[int]] = {servo: set() for servo in self._memory}
-        """For each servo, the addresses of the measured values that the servo has reported to this object."""
+        """The addresses of the measured values that each servo has reported so far."""
         self._error = dict.fromkeys(self._memory, 0)
         self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
         """The wheels' goal speeds, as the driver wrote them."""
@@ -162,9 +161,8 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """Handle one packet, which writes bytes to each of these servos. If the packet sets the speed of a wheel, the
-        last row is a motion of all wheels. In this motion, the other wheels keep the speeds that the driver has
-        commanded before."""
+        """Handle one packet that writes bytes to these servos. If it sets the speed of a wheel, the last row is a
+        motion of all wheels. In this motion, the other wheels keep their speeds."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -235,7 +233,7 @@ class FeetechDriver:
     # What the servos report.
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Keep what the servos measure. Always returns an empty list, because the servos send only answers, and
+        """Store what the servos measure. Always returns an empty list, because the servos send only answers, and
         failstop answers the driver itself."""
         data, at = self._heard + chunk, 0
         while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
@@ -282,8 +280,8 @@ def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytea
 
 
 def language(settings: Mapping[str, float | str]) -> FeetechDriver:
-    """Make a FeetechDriver for a program that has opened the guard port. The wheels and the joints of the settings can
-    then be read by the program."""
+    """Make a FeetechDriver for a program that has opened the guard port. The program can then read the wheels and the
+    joints of the settings."""
     names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
     tables = [f"joints.{name}" for name in names]
     return FeetechDriver(

@@ -27,18 +27,17 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""If a driver has got no feedback for this long, in ns, it considers the board disconnected. The driver waits for
-nothing else, because this board has no questions."""
+"""How long a driver waits for feedback before it considers the board disconnected, in ns. A driver waits for nothing
+else, because this board has no questions."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
 """The place in a frame where the check begins. failstop searches a frame for another start, but only the bytes before
-the check, because the check itself may look like a start. For example, it does so whenever the words steer and speed
-are equal."""
+the check, because the check itself may look like a start. For example, it equals the start whenever steer and speed are
+equal."""
 _TOGETHER_NS = 20_000_000
-"""If a frame is incomplete and nothing more comes for this long, in ns, the frame is dropped. This is longer than 16
-ms, because an adapter may hold bytes back for that long. The board itself drops an incomplete frame as soon as the line
-is idle."""
+"""How long failstop waits for the rest of a frame before it drops the frame, in ns. An adapter may hold bytes back for
+16 ms, so this is longer. The board itself drops an incomplete frame as soon as the line is idle."""
 _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
@@ -48,7 +47,8 @@ _NO_FRAME = DriverRefusal(
 
 
 class HoverboardDriver:
-    """One driver's frames, and the feedback that the driver gets."""
+    """Reads the frames that one driver program writes to the guard port, and returns the feedback that the driver
+    gets."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
@@ -115,8 +115,8 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Return the place where the next frame starts, or may start. If only the first byte of a start has come yet, at
-    the end of the data, this is the place of that byte. If no start was found, it is the length of the data."""
+    """Return the place where the next frame starts. If the data ends with the first byte of a start, this is the place
+    of that byte. If the data has no start, this is its length."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 

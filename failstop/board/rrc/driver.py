@@ -44,7 +44,7 @@ _PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, fra
 _NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
 _PWM_READS = {0x05: 2, 0x09: 1}
 _BUS_READS = {0x05: 2, 0x07: 2, 0x09: 1, 0x0D: 1, 0x12: 1, 0x22: 1, 0x32: 4, 0x36: 4, 0x3A: 1}
-"""The questions to a servo, by sub-command, each with the number of bytes that the value in its answer has."""
+"""The questions to a bus servo, by sub-command, each with the size of the value in its answer, in bytes."""
 _PWM_SET_OFFSET = 0x07
 _BUS_SETS = (0x10, 0x20, 0x24, 0x30, 0x34, 0x38)
 _FAILED = b"\xff"
@@ -60,8 +60,8 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """True if the driver has written bytes that begin no frame, and these were already refused. It becomes False
-        after the next whole frame."""
+        """True after bytes that begin no frame were refused, so that more of them are not refused again. It becomes
+        False after the next whole frame."""
         self._speeds = [0.0] * WHEELS
         """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()

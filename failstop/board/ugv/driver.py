@@ -38,8 +38,8 @@ _LONGEST = 4096
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""At most one report (T:1001) per interval is passed on to the driver. A report may come up to this much before the end
-of the interval, in ns, because the board does not send its reports at exact times."""
+"""How early a report (T:1001) may come and still be passed on to the driver, in ns. Only one report per interval is
+passed on, but the board does not send them at exact times."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
@@ -54,7 +54,7 @@ _ODD = "a field in it is not known, or too long, so it was not passed on"
 
 
 class UgvDriver:
-    """One driver's lines, and what the driver hears from the board."""
+    """Reads the lines that one driver program writes to the guard port, and answers them as the board would."""
 
     def __init__(self, track_m: float) -> None:
         """`track_m` is the distance between the left and the right wheels. It converts T:13's turn rate into wheel

@@ -37,7 +37,7 @@ _NO_SPEED = {
 
 
 class VescDriver:
-    """One driver's packets, and the answers to its questions."""
+    """Reads the packets that one driver program writes to the guard port, and returns the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
         """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is (the servo's
