@@ -5,10 +5,9 @@ Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checks
 
 - The stop begins with a CR. If the line before the stop was cut short, this CR ends it. Without the CR, the board would
   read the stop as more digits of the cut line, and then execute that line.
-- Both speeds carry their sign, and a comma ends the first speed. The firmware's atoi stops reading at a sign or a
-  comma. So the digits of two joined lines, or of two speeds that lost the space between them, can't become one larger
-  speed unless three bytes are lost. A letter in place of the comma would be worse, because the board could take the
-  letter for the command.
+- Both speeds carry their sign, and a comma ends the first speed, because the firmware's atoi stops reading at a sign or
+  a comma. Two joined lines, or two speeds that lost the space between them, then can't become one larger speed unless
+  three bytes are lost. A letter in place of the comma would be worse, because the board could take it for the command.
 - Speeds have at most three digits. So even a cut line followed by a whole line fits into the 16 bytes that the firmware
   has for each argument.
 
@@ -43,8 +42,8 @@ _MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
-"""How many bytes of an answer are kept. The longest answer has two counts of up to 11 characters each, and is shorter
-than this."""
+"""How many bytes of an answer are kept. The longest answer, two counts of up to 11 characters each, is shorter than
+this."""
 
 
 def _written(left: float, right: float) -> bytes:
@@ -56,8 +55,8 @@ REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def check_aux(frame: bytes) -> str:
-    """Say why these bytes must not be written as a line that sets a pin. Returns "" if they may be written. A line that
-    sets a pin has the command w (digital), x (PWM) or c (the pin's direction)."""
+    """Say why these bytes must not be written to set a pin. Returns "" if they may be written. The commands for pins
+    are w (digital), x (PWM) and c (direction)."""
     found = _AUX.fullmatch(frame)
     if not found:
         return "no line that sets a pin"

@@ -1,5 +1,5 @@
-"""The wire of ros_arduino_bridge. A CR comes before each stop, and failstop limits how many lines may be unanswered,
-because the board can hold only a few answers.
+"""The Wire that describes ros_arduino_bridge. A CR comes before each stop, and failstop limits how many lines may be
+unanswered, because the board can hold only a few answers.
 
 The board answers a stop with 21 bytes, which is three times the length of the stop, and the question for positions with
 25 bytes. When 63 bytes of answers wait to be sent, the firmware stops reading lines. Meanwhile its receive buffer,

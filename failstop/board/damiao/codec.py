@@ -77,17 +77,16 @@ FAULTS = {
     14: ("it is overloaded", SERVO_LOAD),
 }
 OFF_AFTER = 3
-"""If an enabled motor reports this many times in a row that it is off, failstop believes it. A single report may say so
-because failstop is just enabling the motor again."""
+"""How many reports in a row must say that an enabled motor is off before failstop believes it. A single report may come
+while failstop is enabling the motor again."""
 DIFFERS = 2
-"""If a motor's answers about a register show another value than the one that was set, this many times in a row, the
-motor has lost the value that was set."""
+"""A register counts as changed if this many answers in a row show a different value than the one that was set."""
 MISSES = 4
 """A motor counts as missing if it leaves this many questions in a row unanswered while another motor answers. A few
 lost answers are normal. For example, a CANable drops a motor's answer if it is still sending an earlier answer to the
 computer."""
 REPORT_EVERY = 20
-"""After this many answers the temperatures are reported, which is about once a second."""
+"""How often the temperatures are reported, in answers. This is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
 """A reported speed is a number from 0 to 4095. _MIDDLE means that the motor is at rest. It is halfway between two
@@ -106,7 +105,7 @@ def _lines(speeds: Iterable[float]) -> bytes:
 
 
 class Motors:
-    """The frames for motors that have the ids 1, 2 and so on, in that order."""
+    """Makes and checks the frames for motors with the ids 1, 2 and so on."""
 
     def __init__(self, count: int) -> None:
         self.wheels = count
@@ -143,7 +142,7 @@ class Motors:
         return _lines([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """Return the speeds of all motors, as a motion frame sets them. Returns None for other bytes."""
+        """Return the speed that a motion frame sets for each motor, or None for other bytes."""
         *lines, end = frame.split(slcan.CR)
         if end or len(lines) != self.wheels:
             return None
@@ -169,9 +168,9 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def check_aux(self, frame: bytes) -> str:
-        """Say why these bytes must not be written as a frame that is not motion. Returns "" for a question that reads a
-        register, and refuses everything else. The register must exist. If a question had a higher register number and
-        two of its characters were lost, the motor could read the rest as a command to write a register."""
+        """Say why these bytes must not be written as a frame that is not motion. Returns "" if they are a question that
+        reads an existing register. If a question had a higher register number and two of its characters were lost, the
+        motor could read the rest as a command to write a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -189,8 +188,8 @@ class _Motor:
     def __init__(self) -> None:
         self.v_max = 0.0
         self.level: int | None = None
-        """The speed in the motor's newest report, as the number in the report. None if the motor has reported no speed
-        since the speeds of all motors were last returned."""
+        """The speed in the motor's newest report, as a number from 0 to 4095. None if _wheels() has already returned
+        it."""
         self.obeys = False
         """True if the motor has reported that it is enabled, or if failstop has enabled all motors (Motors.arm)."""
         self.off = 0
@@ -209,8 +208,8 @@ class Replies(Reader):
         self._lines = slcan.Lines()
         self._motors = {motor: _Motor() for motor in range(1, count + 1)}
         self._set = {MODE: _COUNT.pack(SPEED_MODE)}
-        """For each register that failstop sets, the value that it was set to, which is the same for all motors. TIMEOUT
-        is added when a motor answers that it has accepted the watchdog's time."""
+        """The value that all motors should have in each register that failstop sets. TIMEOUT is added when a motor
+        confirms the watchdog's time."""
         self._asked = 0
         """The register that the newest question asks for."""
         self._answered: set[int] = set()
@@ -234,9 +233,9 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """Handle a motor's answer that it has accepted a value for a register. If the register is the watchdog's time,
-        failstop has just enabled all motors (Motors.arm). So from then on, every motor counts as enabled. If a motor
-        has missed the frame that enables it, its reports will show that it is off."""
+        """Handle a motor's confirmation that a register was written. failstop sets the watchdog's time only when it
+        enables all motors (Motors.arm), so from then on every motor counts as enabled. A motor that missed its enable
+        frame will report that it is off."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():

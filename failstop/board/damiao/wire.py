@@ -1,9 +1,9 @@
-"""The wire of Damiao's motors behind a slcan adapter: a line for each motor, all in one write.
+"""The Wire that describes Damiao's motors behind a slcan adapter. One write has a line for each motor.
 
-Because one write has the lines for all motors, a process can't die after it has stopped only some of them. The kernel
-may take only a part of a write. The rest then comes with the next burst, from the same process or from another one. A
-stop is always for four motors, because `failstop stop` and `failstop setup` may not know how many there are. A line for
-a motor that does not exist does nothing.
+This way, a process can't die after it has stopped only some of the motors. The kernel may take only a part of a write.
+The rest then comes with the next burst, from the same process or from another one. A stop is always for four motors,
+because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist
+does nothing.
 
 So one danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
 its own watchdog. Because it does not answer, stops do not count as acknowledged, and motion can't be enabled.

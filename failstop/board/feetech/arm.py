@@ -48,7 +48,7 @@ def _torque(servo: int, on: bool) -> bytes:
 
 
 class FeetechArm(ServoBus):
-    """The servos of the arm's joints, on the wheels' bus."""
+    """Makes and checks the frames for the arm's servos on the wheels' bus."""
 
     __slots__ = ("_byte_ns",)
 
@@ -58,8 +58,7 @@ class FeetechArm(ServoBus):
         self._byte_ns = port.byte_ns
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Always returns no bytes. A servo that gets no new goal stays at the goal that it got last, with its torque
-        on."""
+        """Return no bytes, because a servo that gets no new goal stays at its last goal, with its torque on."""
         return b""
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:

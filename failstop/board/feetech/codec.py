@@ -32,15 +32,14 @@ TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""failstop asks the wheels two different questions. They read this many bytes of each wheel's memory, beginning at the
-goal speed. An answer does not name its question, but the answer's length shows which question it was."""
+"""How many bytes of a wheel's memory each of failstop's two questions reads, beginning at the goal speed. An answer
+does not name its question, but its length shows which question it was."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
 which question it belongs to. The question for the position also reads the load and the temperature, which come after
 the position in the servo's memory."""
 REPORT_EVERY = 10
-"""After this many answers of the wheels, the supply and the servos' health are reported, which is about once a
-second."""
+"""How often the supply and the servos' health are reported, in answers of the wheels. This is about once a second."""
 
 MISSES = 2
 """A wheel counts as missing if it leaves this many questions in a row unanswered while another wheel answers. One lost
@@ -103,8 +102,8 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""Zeros that complete any packet of this module, or any answer, that was cut short. They are enough, because the
-longest missing part is shorter. So a servo never reads the bytes after FILLER as a speed in the cut packet."""
+"""Zeros that complete any packet of this module, or any answer, that was cut short. The longest missing part is shorter
+than this, so a servo never reads the bytes after FILLER as a speed in the cut packet."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
 """The bytes with which failstop stops the wheels: seven stops, with FILLER before each. If a packet before the burst
@@ -152,8 +151,8 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
 
 
 class Replies(Reader):
-    """Decodes the servos' answers. The answers of the three wheels to a question count only together, if they come in
-    the order of WHEELS."""
+    """Decodes the servos' answers. A question to the wheels counts as answered when the answers of all three have come
+    in the order of WHEELS."""
 
     def __init__(self) -> None:
         self._kept = b""
@@ -163,9 +162,9 @@ class Replies(Reader):
         """The error byte in the newest answer of each servo."""
         self._misses = dict.fromkeys(WHEELS, 0)
         self._last, self._size = len(WHEELS) - 1, 0
-        """The wheel whose answer is the newest, by its place in WHEELS, and the number of data bytes in this answer."""
+        """The place in WHEELS of the wheel that answered last, and the number of data bytes in that answer."""
         self._last_report: dict[int, int] = {}
-        """What is wrong with each servo, as it was reported the last time (see _wrong)."""
+        """What _wrong() returned for the last report."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -206,9 +205,9 @@ class Replies(Reader):
         return found
 
     def _count_misses(self, at: int, size: int) -> bool:
-        """Count the missed answers of all wheels, after an answer of the wheel at place `at` of WHEELS. Wheels answer
-        in the order of WHEELS. So if a wheel's turn was between the previous answer and this answer, that wheel has
-        missed the question. Returns True if a wheel that has missed the question now counts as missing."""
+        """Count the missed answers of all wheels, after an answer with `size` bytes from the wheel at place `at` of
+        WHEELS. Wheels answer in this order, so each wheel whose turn was between the previous answer and this one has
+        missed its question. Returns True if such a wheel now counts as missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:

@@ -1,4 +1,5 @@
-"""The wire of the Feetech bus. A stop is repeated within one write, because a servo that is answering hears nothing.
+"""The Wire that describes the Feetech bus. A stop is repeated within one write, because a servo that is answering hears
+nothing.
 
 One line carries both directions. A stop that begins during an answer is garbled, and so is the answer. So the burst
 lasts longer than the three answers to a question, and each writer repeats it. All other frames must not collide with an

@@ -83,10 +83,8 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""While failstop sends the same motion again and again, it makes each frame 0, 1 or 2 units slower than commanded. The
-frames get these numbers in this order, again and again. The numbers 1 and 2 alternate. So if a frame with the number 1
-is lost, the next slower frame has the number 2, and failstop can't take the board's report of that frame for a report
-of the lost frame."""
+"""By how many units each frame is slowed while failstop repeats the same motion. The frames get these numbers in turn.
+The numbers 1 and 2 alternate, so that a report of the next slowed frame can't be taken for a report of a lost one."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:

@@ -1,5 +1,5 @@
-"""The wire of a hoverboard. The line must be silent before and after a stop, and each writer repeats the stop at
-different times.
+"""The Wire that describes a hoverboard. The line must be silent before and after a stop, and each writer has its own
+times for repeating the stop.
 
 Whenever the line falls idle, the receiver looks at the bytes that came since it last looked, and accepts exactly eight.
 So two frames without a gap between them are both dropped. The receiver also looks at the end of each of its own

@@ -14,7 +14,7 @@ _SUB_COMMAND_AT = 4
 
 
 class RrcArm(ServoBus):
-    """The arm's servos on this board. The frames are made in rrc/servos.py."""
+    """Makes and checks the frames for the arm's servos, with the functions of rrc/servos.py."""
 
     __slots__ = ()
 
@@ -37,8 +37,7 @@ class RrcArm(ServoBus):
         return bus.bus_servo_read(servo, what)
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Always returns no bytes, because this board can only ask one servo after another, and only while no servo
-        moves."""
+        """Return no bytes, because this board can ask only one servo at a time, and only while no servo moves."""
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:

@@ -126,8 +126,8 @@ class Rrc(Board):
     ping_ns = 0
     echo_ns = fades_ns = 0
     silent_ns = 600_000_000
-    """If the IMU's reports pause for this long, in ns, the board has restarted. A busy computer or adapter causes only
-    shorter pauses."""
+    """How long the IMU's reports must pause before the board counts as restarted, in ns. A busy computer or adapter
+    causes only shorter pauses."""
     arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU

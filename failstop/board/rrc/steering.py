@@ -32,7 +32,7 @@ _BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, SERVO_MOVE))
 
 
 class Steering(ServoSteering):
-    """The frames of one steering servo."""
+    """Makes and checks the frames for one steering servo."""
 
     __slots__ = ()
 

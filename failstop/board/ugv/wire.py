@@ -1,5 +1,5 @@
-"""The wire of Waveshare's UGV. A line feed comes before each stop, and failstop sets the board's own watchdog each time
-it opens the port.
+"""The Wire that describes Waveshare's UGV. A line feed comes before each stop, and failstop sets the board's own
+watchdog each time it opens the port.
 
 The receiver keeps a line of any length until its line feed. So a stop may directly follow any other bytes, and needs no
 silence on the line before it. Motion lines feed the watchdog. The stop that is written again and again while the robot

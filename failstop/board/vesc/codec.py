@@ -53,7 +53,8 @@ and get some of a controller's values."""
 LIMIT = 100_000.0
 """The highest speed to which a controller turns a motor by default, in ERPM (mcconf_default.h)."""
 LEAST = 900.0
-"""By default a controller brakes if it is sent a lower speed than this, in ERPM (MCCONF_S_PID_MIN_RPM)."""
+"""The lowest speed at which a controller turns a motor by default, in ERPM (MCCONF_S_PID_MIN_RPM). If it is sent a
+lower one, it brakes."""
 STILL = 50
 """A reported speed below this, in ERPM, may be noise from a motor at rest. The tachometer shows whether the motor
 turns."""
@@ -70,10 +71,10 @@ line before the writers repeat their bursts."""
 LOCAL, BEHIND = 1, 2
 """The ids of the controllers in reports: LOCAL is the one at the port, and BEHIND is the one on its CAN."""
 MISSES = 2
-"""The second controller counts as missing if it leaves this many questions unanswered while the first controller
-answers. A question does not count if garbled bytes came after it, because they may have been the answer."""
+"""The second controller counts as missing if it leaves this many questions in a row unanswered while the first
+controller answers. A question does not count if garbled bytes came after it, because they may have been the answer."""
 REPORT_EVERY = 20
-"""After this many answers the temperatures are reported, which is about once a second."""
+"""How often the temperatures are reported, in answers. This is about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
 """The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each."""
 FIRST_US, WAY_US = 1000, 1000
@@ -141,8 +142,8 @@ def check_aux(frame: bytes) -> str:
 
 
 class Steering(ServoSteering):
-    """The frames for the steering servo at a controller. The settings give the servo's pulses in us, and its whole
-    range is 1000 to 2000 us."""
+    """Makes and checks the frames for the steering servo at a controller. The settings give the servo's pulses in us,
+    and its whole range is 1000 to 2000 us."""
 
     __slots__ = ()
 
@@ -152,8 +153,8 @@ class Steering(ServoSteering):
         return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. No bytes make it
-        raise an error."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
+        bytes."""
         payload = frame[2:-3]
         if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
             return "not a steering frame"
@@ -162,8 +163,8 @@ class Steering(ServoSteering):
 
 
 class Motors:
-    """The frames for one motor or for two. A single motor belongs to the controller at the port. If there are two
-    motors, the left motor belongs to the controller at the port, and the right motor to the controller on the CAN."""
+    """Makes and checks the frames for one or two motors. A single motor belongs to the controller at the port. Of two
+    motors, the left one belongs to the controller at the port, and the right one to the controller on the CAN."""
 
     def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
         """`can_ids` are the CAN ids of the controllers that are not at the port."""
@@ -190,7 +191,7 @@ class Motors:
         return self._written([number("speed of a motor", speed, -limit, limit, "ERPM") for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
-        """Return the speeds of all motors, as a motion frame sets them. Returns None for other bytes."""
+        """Return the speed that a motion frame sets for each motor, or None for other bytes."""
         if len(frame) != len(self.rest):
             return None
         found: list[float] = []
@@ -204,8 +205,8 @@ class Motors:
         return tuple(found) if len(found) == self.wheels else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. No bytes
-        make it raise an error."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
+        bytes."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
@@ -248,7 +249,7 @@ class Replies(Reader):
         self._wrong = {LOCAL: 0}
         """What is wrong with each controller, as a sum of SERVO_ bits (wire.py), by the controller's id in reports."""
         self._last_report: dict[int, int] = {}
-        """What is wrong with each controller, as it was reported the last time (see _wrong)."""
+        """The value of _wrong in the last report."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -1,5 +1,5 @@
-"""The wire of one or two VESCs. The second controller is on the CAN of the first. Each controller has its own packets,
-and all of them go out in one write.
+"""The Wire that describes one or two VESCs. The second controller is on the CAN of the first. Each controller has its
+own packets, and all of them go out in one write.
 
 Because one write has the packets for both controllers, a process can't die after it has stopped only one motor. The
 kernel may take only a part of a write. The rest then comes with the next burst, from the same process or from another
