@@ -55,8 +55,8 @@ DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
 
 
 class Unknown(Board):
-    """Your own board, if the user who runs this program can't use the board's folder. Nothing is known about the board
-    then, and nothing is written to it."""
+    """Stands in for your own board if the user who runs this program can't use the board's folder. Nothing is known
+    about the board then, so nothing is written to it."""
 
     __slots__ = ("why",)
 
@@ -95,10 +95,10 @@ class Heard(Data):
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Yield the attempts to find the board, in order. Each attempt is (time, kind): the kind of board to ask, and when
-    to ask, in ns after the port was opened. The first of `boards`, which the user wants, comes first. Boards without
-    questions come next, because for them failstop only listens. Set `resets` if opening the port may have reset the
-    board. Then each board that is deaf after a reset gets a second, later attempt."""
+    """Yield the attempts to find the board, in order. Each attempt is (time, kind): when to ask, in ns after the port
+    was opened, and which kind of board. The first of `boards` is the one that the user wants, so it comes first. Boards
+    without questions come next, because failstop only listens for them. Set `resets` if opening the port may have reset
+    the board. Each board that is deaf after a reset then gets a second, later attempt."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -110,9 +110,8 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
     """Try one kind of board after another, until one of them is found on the port. Returns the result of each attempt,
     so a board that was found is the last in the list. The caller must already have written the stop of the first board.
-    If no board is found at the usual baud rates, the other baud rates of each board are tried too. Set `strangers` if
-    the first board must be the only one to which bytes are written. failstop then just listens for all others. Raises
-    OSError if the device is gone."""
+    If no board is found at the usual baud rates, the other baud rates of each board are tried too. Set `strangers` to
+    write only to the first board, and just listen for all others. Raises OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.
@@ -136,8 +135,8 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns after how
-    many ms the board answered, or None. Raises OSError if the device is gone.
+    """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns how long the
+    board took to answer, in ms, or None if it did not. Raises OSError if the device is gone.
 
     The board's stop is written before each question except the first, and with `stop` before the first one too. The
     board may have received bytes that were meant for another kind of board, and may have read them as the beginning of
@@ -155,15 +154,15 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
 
 
 def heard_ms(tap: Tap, board: Board) -> float | None:
-    """Return after how many ms the board answered a question. For a board without questions, return after how many ms
-    it reported that it obeys zero speed. None if it did neither."""
+    """Ask the board one question, and return how long it took to answer, in ms. For a board without questions, return
+    how long it took to report that it obeys zero speed. None if no such answer or report came."""
     return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """Return (found, text, remedy), which says whether a board of this kind is on the port. `found` is True if it is,
-    and False if it is not. `found` is None if a board of this kind can't be asked. `text` is the result in words for
-    people, and `remedy` says what to do."""
+    """Return (found, text, remedy) for one kind of board. `found` is True if a board of this kind is on the port, False
+    if not, and None if such a board can't be asked. `text` is the result in words for people, and `remedy` says what to
+    do."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 
 class FrameError(ValueError):
-    """A value that must not reach the board. The message names the field, the value and the allowed range."""
+    """Raised for a value that must not reach the board. The message names the field, the value and the allowed
+    range."""
 
 
 def integer(field: str, value: int, low: int, high: int) -> int:

@@ -204,7 +204,7 @@ class Described(Board):
         return min(max_rps * self.per_rps * _ROUNDING, self._motion.limit)
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """Always returns no bytes, because failstop knows no buzzer on a board that a Wire describes."""
+        """Return no bytes, because a Wire describes no buzzer."""
         return b""
 
     def check_aux(self, frame: bytes) -> str:
@@ -219,7 +219,7 @@ class Described(Board):
 
 
 class SteeredBoard(SteeringMixin, Described):
-    """The board of a steered base, if a Wire describes the board."""
+    """A board for a steered base that is described by a Wire."""
 
     __slots__ = ("_steering",)
 

@@ -58,16 +58,15 @@ class Facts(Data):
     """How many speeds a frame sets on a base with one of these layouts (the setting wheels.layout), where this differs
     from `speeds`."""
     most: int = 0
-    """The most speeds that a frame can set. Usually a frame has as many speeds as the layout needs. If the settings
-    give a wheel a higher id, each frame has more speeds, but never more than this. 0 means that a frame never has more
-    speeds than the layout needs."""
+    """The most speeds that a frame can set. A frame has more speeds than the layout needs only if the settings give a
+    wheel a higher id. 0 means that a frame never has more."""
     steered_defaults: Mapping[str, float] = {}
     """Default values of settings for a steered base, by key. Only defaults that differ from the usual ones are
     listed."""
     can: bool = False
     """True if the board's second motor is connected by CAN. The setting board.can_id then has the id of that motor."""
     motors: Mapping[int, str] = {}
-    """Names for people of the motors that have their own controllers, by the ids in the controllers' reports
-    (wire.Health)."""
+    """The name, in words for people, of each motor that has its own controller. The keys are the ids in the
+    controllers' reports (wire.Health)."""
     defaults: Mapping[str, float] = {}
     """Default values of settings, by key. Only defaults that differ from the usual ones are listed."""

@@ -4,8 +4,8 @@ The path in the settings is not enough. If a USB hub resets, the board's path ma
 same type. So the board is recognised by what its USB device reports and, if that is not enough, by the socket where it
 is plugged in. CHOICES has the rules.
 
-If a process keeps a tty open over an unplug, the number of the tty stays in use, so the board comes back with another
-number.
+If a process keeps a tty open while the board is unplugged, the number of the tty stays in use, so the board comes back
+with another number.
 """
 
 from __future__ import annotations
@@ -159,10 +159,9 @@ CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
     (Search.without_serial, False),  # no serial numbers: one like it, in another socket
     (Search.in_its_stead, False),  # a spare: one of the same kind at the path, in the socket where the board was
 )
-"""The rules for which device is the board. The first row that finds any device decides. If it finds several devices,
-nobody can say which of them is the board, so none is chosen. The second value of the row says whether a device that the
-row finds is certainly the board. If this is not certain, failstop accepts the device as the board only after it has
-answered as the board does."""
+"""The rules that choose the device that is the board, as (rule, certain). The first rule that finds a device decides.
+If it finds several devices, none of them is chosen. If `certain` is False, failstop accepts the device as the board
+only after it has answered as the board does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:

@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""The value of `index` in Handled.wrote() if a command is written, and not a ping."""
+"""The `index` for Handled.wrote() if a command is written instead of a ping."""
 GIVEN_UP_NS = 10_000_000_000
-"""A question that has no answer after this time, in ns, never gets one. All proofs of a stop rely on this. If a
-question and its answer together could be delayed for longer, failstop could take a late answer to an old question for
-the answer to a new question."""
+"""How long after a question its answer may still come, in ns. All proofs of a stop rely on this limit. If a question
+and its answer together could be delayed for longer, failstop could take a late answer to an old question for the answer
+to a new question."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
 """If several processes write a stop within this time, in ns, their stops count as one, because all of them have the
 same cause."""
 MARGIN_NS = 100_000_000
-"""A board's own watchdog may act this much too early, in ns."""
+"""How much too early a board's own watchdog may act, in ns."""
 
 
 class Answers:
-    """Questions that may still be answered, in the order in which they were asked."""
+    """Keeps the questions that may still be answered, in the order in which they were asked."""
 
     def __init__(self) -> None:
         self._open: deque[tuple[int, int]] = deque()
@@ -84,7 +84,7 @@ class Echo:
         """The time when failstop wrote the motion that the board last reported, in ns. 0 if its last report was not
         motion."""
         self.faded_ns = 0
-        """If the board's own watchdog has ended the last motion, the time when failstop wrote that motion, in ns. Else
+        """The time when failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise
         0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
@@ -95,8 +95,8 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """If this report proves that the board obeys a stop, return when that stop was written, as a time in ns.
-        Returns 0 if the report proves no stop. `others_ns` are the times at which other processes last wrote a stop."""
+        """Return when the stop that the board obeys was written, in ns. Returns 0 if the report proves no stop.
+        `others_ns` are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -140,7 +140,7 @@ class Handled:
     and heard() for each report."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
-        """`since_ns` is a time: everything that was written until then counts as handled."""
+        """Everything that was written until `since_ns`, a time in ns, counts as handled."""
         self._board, self._since_ns = board, since_ns
         self._answers, self._echo = Answers(), Echo(board.fades_ns)
         self._by_echo = board.echo_ns > 0
@@ -150,7 +150,7 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """If the board's own watchdog has ended the last motion, the time when failstop wrote that motion, in ns. Else
+        """The time when failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise
         0."""
         return self._echo.faded_ns
 
@@ -165,9 +165,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns a time in ns: the report proves that the board has handled
-        everything that was written up to this time. If a stop was written up to this time, the board obeys the stop.
-        Returns 0 if the report proves nothing new. `others_ns` is as in Echo.obeyed()."""
+        """Handle a report that came at `came_ns`. Returns a time in ns, or 0 if the report proves nothing new. The
+        board has handled everything that was written up to this time. If a stop was among it, the board obeys the stop.
+        `others_ns` is as in Echo.obeyed()."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

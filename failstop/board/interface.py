@@ -68,7 +68,7 @@ class WheelReports(Data):
     own_scale: bool
     """True if the reports do not depend on the setting board.per_rps, so they reveal an error in it."""
     position_step: float = 0.0
-    """Positions are whole multiples of this number, truncated towards zero. 0 means that they are too fine for this to
+    """Positions are rounded towards zero to a multiple of this number. 0 means that they are too fine for this to
     matter."""
 
 
@@ -104,7 +104,7 @@ class Hearing:
 
 
 class ServoBus:
-    """The servos of an arm, as failstop talks to them. Servo ids are 1 to 253, and positions are in pulses (see
+    """Makes and checks the frames for the servos of an arm. Servo ids are 1 to 253, and positions are in pulses (see
     ArmFacts in facts.py). servos.py lists the questions for a servo. failstop makes frames for servos only if the
     settings have [joints]."""
 
@@ -159,14 +159,14 @@ class ServoBus:
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:
-        """Return how long a frame that has passed check() holds up the board's receiver at most, in ns."""
+        """Return how long a frame that has passed check() may hold up the board's receiver, in ns."""
         raise NotImplementedError
 
 
 class SteeringFrames:
-    """The frames that turn the servo of a steered base. Steering counts as motion: the steering frame follows the frame
-    for the wheels in the same write, and the two are accepted or refused together. A stop has no steering frame, so it
-    leaves the angle as it is."""
+    """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: the steering frame
+    follows the frame for the wheels in the same write, and the two are accepted or refused together. A stop has no
+    steering frame, so it leaves the angle as it is."""
 
     __slots__ = ()
 
@@ -192,8 +192,8 @@ class Board:
     """How the board's serial port is set up, and how long the board hears nothing after the port was opened. Motion
     can't be enabled until the board hears and its opening frames were written."""
     idle_ns: int
-    """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 means no time at
-    all. A stop never waits for this."""
+    """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 if it need not be
+    silent. A stop never waits for this."""
     after_ns: int
     """How long the line must be silent after a stop, in ns, even before the same writer's next stop. 0 means that stops
     may follow each other without a gap. If it is not 0, a stop counts as lost until it was repeated."""
@@ -207,35 +207,34 @@ class Board:
     stop: bytes
     """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
-    """The bytes that stop the wheels, in one write. In some states, the board's receiver misses a burst. Then it
-    receives one of the repeats of the burst."""
+    """The bytes that stop the wheels, in one write. If the state of the board's receiver makes it miss a burst, it
+    receives one of the repeats."""
     first_stop: bytes
     """The beginning of the burst, up to the end of its first stop frame. When a stop is needed, this is written before
     anything else is done. If it is the whole burst, the burst is not written again right after it."""
     refresh: bytes
-    """The stop that is written five times per second while the robot is stopped, because a board may restart or wake
-    up."""
+    """The stop that is written five times per second while the robot is stopped, because the board may have restarted
+    or woken up."""
     pings: tuple[bytes, ...]
     """Questions that move nothing, at most layout.PINGS. The board handles them in order with all other frames. All
     pings differ, and so do their answers, so an answer shows which ping it belongs to. The answer also proves that the
     board received this ping whole. Empty if the board can't be asked. The state of its link is then `unasked`, and
     nothing waits for an answer."""
     ping_ns: int
-    """The proofs about this board need a ping at least this often, in ns. 0 means that they need no particular rate."""
+    """The longest time between two pings that the proofs about this board allow, in ns. 0 means any time."""
     echo_ns: int
-    """After a command was written, the board reports within this time that it obeys the command, in ns. 0 if the board
-    makes no such reports. If echo_ns is not 0, the board acknowledges a stop only by reporting that it obeys the stop.
-    An answer to a ping is then not enough."""
+    """How long after a command was written the board may take to report that it obeys the command, in ns. 0 if the
+    board makes no such reports. If it makes them, only such a report acknowledges a stop. An answer to a ping is then
+    not enough."""
     silent_ns: int
-    """If the board's reports about its wheels or its IMU pause for this long, in ns, the board has restarted. 0 if the
-    board reports nothing."""
+    """How long the board's reports about its wheels or its IMU must pause before the board counts as restarted, in ns.
+    0 if the board reports nothing."""
     arming: bytes
     """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
     restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
-    """If the board gets no frame for this long, in ns, its own watchdog acts, and the board then reports that its
-    present command is zero. These reports do not prove a stop. 0 if the board makes no such reports, or has no
-    watchdog."""
+    """How long after the last frame the board's own watchdog acts, in ns. The board then reports a command of zero,
+    which does not prove a stop. 0 if the board makes no such reports, or has no watchdog."""
     acknowledged_by: str
     """How the board acknowledges a stop: BY_ANSWER or BY_ECHO. Empty if it acknowledges nothing."""
     observed_by: str
@@ -254,7 +253,7 @@ class Board:
     """The highest wheel speed that can be sent to the board, in turns per second. If the limits in the settings allow
     more, the service does not start."""
     step_rps: float
-    """Speeds are sent in multiples of this, rounded towards zero, in turns per second. 0 means that any speed can be
+    """Speeds are rounded towards zero to a multiple of this, in turns per second. 0 means that any speed can be
     sent."""
     usb: tuple[str, ...]
     """The board's own USB ports as vendor:product in hexadecimal. The chip of a separate USB adapter is not listed,

@@ -33,8 +33,7 @@ def is_described(kind: str) -> bool:
 
 
 def facts_of(kind: str) -> Facts | None:
-    """Return what the settings need to know about one of ALL_KINDS, or None for a board in your own folder. No other
-    board's modules are imported."""
+    """Return the facts about one of ALL_KINDS, or None for your own board. No other board's modules are imported."""
     if kind not in ALL_KINDS:
         return None
     facts: Facts = __import__(f"failstop.board.{kind}.facts", fromlist=["FACTS"]).FACTS
@@ -44,10 +43,9 @@ def facts_of(kind: str) -> Facts | None:
 def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = USUAL_CAN_ID) -> Wire:
     """Return the description of one of KINDS, or of your own board. Raises ValueError.
 
-    Set `tried` if your own board was already loaded before this process was started, so that no child process has to
-    test it first (own.py). Boards with several descriptions need `speeds`, which is how many speeds a frame sets (0
-    means the usual number), and `can_id`, which is the CAN id of the second motor. No other board's modules are
-    imported."""
+    Set `tried` if the process that started this one has already tested your own board (own.py). Boards with several
+    descriptions need `speeds`, which is how many speeds a frame sets (0 means the usual number), and `can_id`, which is
+    the CAN id of the second motor. No other board's modules are imported."""
     if is_own(kind):
         from failstop.board import own
 

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 class MotionLine:
-    """The line that sets the speeds of the left and the right wheels. This class has the methods that wire.Motion
-    needs."""
+    """Makes and checks the line that sets the speeds of the left and the right wheels. This class has the methods that
+    wire.Motion needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
         """`form` is the pattern of the line, with a group for each speed. `write` makes the line from the speeds of

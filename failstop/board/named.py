@@ -2,8 +2,8 @@
 
 A file that belongs to another user may name any path. It may be one of root's own devices, a device that reacts to
 being opened, or a file system that never answers. So root looks up the path with that user's rights, accepts only a
-terminal that this user may read and write, and then opens exactly this device. Only root can open a port that a service
-holds exclusively. So the device is opened as root, because otherwise no stop could be written to it.
+terminal that this user may read and write, and then opens exactly this device. The device is opened as root, because
+only root can open a port that a service holds exclusively, and a stop must still be written to such a port.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def unsent_bytes(descriptor: int) -> int:
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port. The service then reads the bytes that the board sends. If another program read
-    them too, the service would miss them."""
+    """True while a service has the port and reads the bytes that the board sends. Another program must not read them
+    then, because the service would miss them."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)

@@ -29,8 +29,7 @@ MOVE_NS = 870_000
 """The longest time that the move of one servo takes on any board's bus, in ns. The move is a packet of ten bytes, sent
 at 115200 baud."""
 SILENT_NS = 5_000_000
-"""The time after which every board has given up on a servo that does not answer, in ns. A normal answer takes 1.2
-ms."""
+"""The longest time that any board waits for a servo's answer, in ns. A normal answer takes 1.2 ms."""
 MOST_MOVES = HELD_NS // MOVE_NS
 
 

@@ -28,13 +28,13 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""If early_stop() has written a whole stop, burst() writes nothing for this long, in ns. Otherwise the loop of the same
+"""How long burst() writes nothing after early_stop() has written a whole stop, in ns. Otherwise the loop of the same
 process would write the same stop once more right after it."""
 
 
 class StopPort:
-    """An open port for stops. `fd` is its descriptor, or -1 for no port. `lost` becomes true when a write finds that
-    the device is gone, and `errno` is then the reason."""
+    """Writes stops to an open port. `fd` is its descriptor, or -1 for no port. `lost` becomes true when a write finds
+    that the device is gone, and `errno` is then the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos` are the ids of the robot's arm. The frames that stop the arm are appended to the burst, and both are
@@ -45,9 +45,8 @@ class StopPort:
         """The time when the line will have been silent for as long as the board needs, in ns. It counts only what this
         process has written. 0 if the board needs no silence."""
         self._line_ns = 0
-        """This process writes no further stop before this time, in ns. Until then, the newest stop of this process is
-        still on the line, or the line must be silent after that stop. A further stop would garble both stops. 0 if a
-        stop may be written at once."""
+        """The earliest time for this process's next stop, in ns. Until then, its newest stop is still on the line, or
+        the line must be silent after that stop. Another stop would garble both. 0 if a stop may be written at once."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -56,8 +55,8 @@ class StopPort:
         self._stop_begun = False
         """True if `unsent` is the rest of a stop."""
         self._writing = _thread.allocate_lock()
-        """A lock. The loop holds it while it checks whether it may write, and writes. A thread holds it in
-        early_stop()."""
+        """A lock that the loop holds while it checks whether it may write, and writes. In early_stop(), another thread
+        holds it."""
 
     def early_stop(self) -> None:
         """Write the beginning of the burst, up to the end of its first stop frame. The thread that has noticed a death

@@ -37,8 +37,8 @@ class Tap:
         self.size = 0
         """How many bytes were received."""
         self._flow: set[int] = set()
-        """The pings to which an answer came before this object had asked them. Something else makes the board send
-        these answers, so they don't prove that the board hears this object."""
+        """The pings that were answered before this object had asked them. Something else causes these answers, so they
+        don't prove that the board hears this object."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """Return (time of reading in ns, kind, value) for each new report. Raises OSError if the device is gone."""
@@ -91,7 +91,7 @@ class Tap:
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board, and return after how many ms it answered. The answer proves that the board has handled
+        """Ask the board, and return how long it took to answer, in ms. The answer proves that the board has handled
         everything that was written before the question. If an answer belongs to an earlier question, it does not count.
         Returns None if the answer does not come in time, or if the board has no questions. Raises OSError."""
         if not self._board.pings:
@@ -103,8 +103,8 @@ class Tap:
         return None
 
     def zeros_ms(self, timeout_s: float) -> float | None:
-        """Wait until a board without pings reports that its present command is zero. Returns after how many ms the
-        report came, or None if none came in time. The report proves little, because a board that hears nothing reports
+        """Wait until a board without pings reports that its present command is zero. Returns how long that took, in ms,
+        or None if no such report came in time. The report proves little, because a board that hears nothing reports
         zeros too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):

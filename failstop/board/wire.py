@@ -102,8 +102,8 @@ class Watchdog(Data):
     crashed or the cable was pulled."""
 
     after_ns: int
-    """How long after the last motion the watchdog acts if failstop has not set its time, in ns. On a board that has
-    just started, the watchdog has this time. 0 means that the watchdog does not act until its time is set."""
+    """How long after the last motion the watchdog acts on a board that has just started, in ns. failstop may then set
+    another time (set_ns). 0 means that the watchdog does not act until its time is set."""
     does: str
     """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
@@ -139,7 +139,7 @@ class Motion(Data):
     """A function (wheel diameter in m) that returns how many of the board's speed units usually make one wheel turn per
     second."""
     step: float
-    """Speeds are sent as multiples of this number, truncated towards zero."""
+    """Speeds are rounded towards zero to a multiple of this number."""
     apart: float
     """The largest difference between two wheels that the board accepts."""
     frame: Callable[[Sequence[float], float], bytes]
@@ -226,7 +226,7 @@ class Restarted(Sample, Data):
 
 
 class Firmware(Sample, Data):
-    """The board's reports show that its firmware is not the usual one."""
+    """A sign that the board's firmware is not the usual one."""
 
     name: str
     """A text for people: whose firmware it is, how failstop recognised it, and what to check before you use it."""
@@ -275,12 +275,11 @@ class Reports(Data):
     every_ns: int
     """The longest time between two reports of a healthy board while the service runs, in ns."""
     speed_per_rps: Callable[[float, float], float] | None
-    """A function that returns how many units of the reported speeds make one wheel turn per second. Its first argument
-    is how many units of the commanded speeds make one wheel turn per second, and its second is the wheel's diameter in
-    m. None if the board reports no speeds."""
+    """A function (per_rps, wheel diameter in m) that returns how many units of the reported speeds make one wheel turn
+    per second. `per_rps` is how many units of the commanded speeds do. None if the board reports no speeds."""
     position_per_turn: Callable[[float, float], float] | None
-    """A function that returns how much a position grows in one turn of its wheel. It has the arguments of
-    `speed_per_rps`. None if the board reports no positions."""
+    """A function (per_rps, wheel diameter in m) that returns how much a position grows in one turn of its wheel. None
+    if the board reports no positions."""
     wraps: float
     """The size of the range in which positions wrap around, from minus half of it to plus half of it. 0 means that
     positions never wrap."""
@@ -291,7 +290,7 @@ class Reports(Data):
     """True if the board reports in a real-world unit, so its reports reveal a wrong setting board.per_rps. False if
     commands and reports share that setting, so an error does not show."""
     position_step: float = 0.0
-    """Positions are whole multiples of this number, truncated towards zero. 0 means that they are too fine for this to
+    """Positions are rounded towards zero to a multiple of this number. 0 means that they are too fine for this to
     matter."""
 
 
@@ -311,10 +310,10 @@ class Wire(Data):
     """The proofs of a stop that the board can give: ANSWERED, ECHOED, OBSERVED. WRITTEN is not listed, because it needs
     nothing from the board."""
     ping_ns: int
-    """The proofs need a question at least this often, in ns. 0 means that they need no particular rate."""
+    """The longest time between two questions that the proofs allow, in ns. 0 means any time."""
     echo_ns: int
-    """After a command was written, the board reports within this time that it obeys the command, in ns. 0 if the board
-    makes no such reports."""
+    """How long after a command was written the board may take to report that it obeys the command, in ns. 0 if the
+    board makes no such reports."""
     other_bauds: tuple[int, ...] = ()
     """Other baud rates with which the board's firmware is often built. `failstop doctor` and `failstop setup` try these
     after the rate of `port`."""
@@ -322,7 +321,7 @@ class Wire(Data):
     """The board's own USB ports as vendor:product in hexadecimal, for example "2341:0043". Don't list the chip of a
     separate USB adapter, because it says nothing about the board behind the adapter."""
     silent_ns: int = 0
-    """If the board's reports about its wheels pause for this long, in ns, the board has restarted. It makes no
+    """How long the board's reports about its wheels must pause before the board counts as restarted, in ns. It makes no
     difference whether the reports come unasked or as answers. Choose a longer time than the pause that one garbled
     report would cause. 0 if the board reports nothing."""
     commanders: tuple[Commander, ...] = ()
@@ -337,9 +336,8 @@ class Wire(Data):
     turn a steering servo."""
     aux: Callable[[bytes], str] | None = None
     """A function (frame) that checks an extra frame, for example one for a light. It returns why the frame must not be
-    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off. It may delay the next
-    frame that the board reads by at most 30 ms. With None, only motion, stops and
-    questions are written."""
+    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off. It may delay the
+    board's next frame by at most 30 ms. With None, only motion, stops and questions are written."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
     """A function (all settings by their full keys) that returns what a driver program may write to the board at the
     guard port (driver.py). Import that module inside the function, because no process of the service needs it. None if
