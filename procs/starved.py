@@ -37,7 +37,7 @@ def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """Return True if the silent process is starved. `bell`: the bell that wakes it. Takes two readings, about 20 us."""
+    """Return True if the silent process is starved. `bell`: the bell that wakes it. This takes about 20 us."""
     try:
         # If a starting process has not beaten yet, this value is still from the process before it.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0

@@ -131,8 +131,8 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """Return (the descriptor of a port that the thread has opened, when the burst was written to it). The time is 0
-        if the burst could not be written. Each port is returned once. Returns None if there is no new port."""
+        """Return a port that the thread has opened, or None if there is no new one. Each port is returned once, as its
+        descriptor and the time in ns when the burst was written to it, or 0 if the burst could not be written."""
         found, self._found = self._found, None
         return found
 

@@ -83,8 +83,7 @@ class Turning:
     """What has observed the wheels: `wheels` for the board's reports about them, or `IMU`. An IMU can't see the wheels.
     It only feels that the robot moves, or that somebody moves it."""
     unexpected: bool = False
-    """True if the wheels turn although they should have come to rest by now. They have the time still.after_s (a
-    setting) to come to rest after zero was commanded."""
+    """True if the wheels still turn although zero was commanded longer ago than the setting `still.after_s`."""
     since_s: float | None = None
     """How long `does` has had its present value, in s. None if not known."""
     age_s: float | None = None

@@ -84,8 +84,8 @@ class Echo:
         """The time when failstop wrote the motion that the board last reported, in ns. 0 if its last report was not
         motion."""
         self.faded_ns = 0
-        """The time when failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise
-        0."""
+        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
+        Otherwise 0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
         """Record that a command was written. If the same command is written several times in a row, only its first
@@ -150,8 +150,8 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """The time when failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise
-        0."""
+        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
+        Otherwise 0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:

@@ -356,9 +356,9 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
-    """Refuse this file or folder if another user may change it. There is one exception for folders on the way that
-    anyone may write, such as /tmp. They are allowed if their sticky bit is set, because then only the owner of an entry
-    can remove or rename it. Raises OwnBoardError."""
+    """Refuse this file or folder if another user may change it. A parent folder into which anyone may
+    write, such as /tmp, is allowed if its sticky bit is set, because then only the owner of an entry can remove or
+    rename it. Raises OwnBoardError."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
     folder = stat.S_ISDIR(found.st_mode)

@@ -135,8 +135,8 @@ class PortOwner:
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """Record a burst that was written for a cause which the port owner itself has noticed, and publish the cause.
-        The burst belongs to the current epoch, even if this process has not seen that epoch yet, because the supervisor
-        answers the published cause with a newer epoch."""
+        The burst counts for the epoch that is current now, even if this process has not followed that epoch yet. For
+        the published cause the supervisor will raise the epoch once more."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)

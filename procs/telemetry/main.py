@@ -310,8 +310,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish when the board last sent anything. Call it when everything else that follows from the board's bytes
-        is published."""
+        """Publish the time of the board's last bytes. Call this last, after everything that follows from these bytes was
+        published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()

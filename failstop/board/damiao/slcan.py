@@ -36,8 +36,8 @@ def line(can_id: int, data: bytes) -> bytes:
 
 
 def frame_of(text: bytes, least: int = 8) -> tuple[int, bytes] | None:
-    """Return the CAN id and the data in a line without its end. None if the line is not a frame of `least` to 8 bytes.
-    After the data, the line may have a time stamp of four digits."""
+    """Return the CAN id and the data of a line. None if the line is not a frame of `least` to 8 bytes. `text`: the line
+    without the carriage return. After the data, it may have a time stamp of four digits."""
     if len(text) < _HEAD or not text.startswith(b"t") or not _DIGITS.issuperset(text[1:]):
         return None
     size = int(text[4:_HEAD], 16)
