@@ -355,8 +355,8 @@ ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
 """What a client wants the arm to do at present. The client must repeat it again and again. It contains the client's
-session, the mode (ARM_FOLLOW or ARM_JOG), and a number for each servo: with ARM_FOLLOW the angle of its joint (rad), with
-ARM_JOG the rate of its joint (rad/s)."""
+session, the mode (ARM_FOLLOW or ARM_JOG), and a number for each servo: with ARM_FOLLOW the angle of its joint (rad),
+with ARM_JOG the rate of its joint (rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )

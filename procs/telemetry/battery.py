@@ -18,8 +18,8 @@ nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""How old a reading must be, in ns, to count as the voltage before a step. Newer readings may already show a part of the
-step, because the firmware averages its readings over about 3 s."""
+"""How old a reading must be, in ns, to count as the voltage before a step. Newer readings may already show a part of
+the step, because the firmware averages its readings over about 3 s."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled before a step in the voltage counts. The motors' load moves the voltage by up
 to 170 mV when it begins and when it ends."""

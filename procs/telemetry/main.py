@@ -310,7 +310,7 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish the time of the board's last bytes. Call this last, after everything that follows from these bytes was
+        """Publish the time of the board's last bytes. Call this after everything that follows from these bytes was
         published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
