@@ -189,6 +189,7 @@ class Supervisor:
         if opened_ns is not None:
             self._repeats.restart(now_ns)
             written_ns = self._wrote(opened_ns) if opened_ns else self._burst()
+            self.handover.log_return(now_ns, written=written_ns > 0)
             self.tracker.opened(written_ns, now_ns, sure=self.handover.sure)
         if self.tracker.link.believed:
             self.handover.believe()

@@ -243,15 +243,19 @@ class PortHandover:
         self._port.adopt(fd)
         self._loop.watch(fd, HANGUP)
         self._share(list(self.controls), now_ns)
-        path, away_s = self.opener.finder.at, (now_ns - self._lost_ns) / 1e9
-        text = f"{path} is back after {away_s:.1f} s; the stop is written"
-        if not self.sure:
-            text = (
-                f"{path} may not be the board: a device like it came after {away_s:.1f} s; the stop is written to it, "
-                "which proves nothing until it answers; if the wheels turn, use the POWER SWITCH"
-            )
-        self._events.log("device_back", text, {"path": path, "away_s": round(away_s, 3)})
         return written_ns
+
+    def log_return(self, now_ns: int, *, written: bool) -> None:
+        """Log that the port was opened again. `written`: the kernel has taken the whole stop."""
+        path, away_s = self.opener.finder.at, (now_ns - self._lost_ns) / 1e9
+        stop = "the stop is written" if written else "NO STOP COULD BE WRITTEN YET"
+        text = f"{path} is back after {away_s:.1f} s; {stop}"
+        if not self.sure:
+            proof = ", which proves nothing until it answers" if written else ""
+            text = f"{path} may not be the board: a device like it came after {away_s:.1f} s; {stop} to it{proof}"
+        if not (written and self.sure):
+            text += "; if the wheels turn, use the POWER SWITCH"
+        self._events.log("device_back", text, {"path": path, "away_s": round(away_s, 3)})
 
     def make_up(self, now_ns: int) -> None:
         """Send the port's descriptor again to each process that could not receive it, for example because the process

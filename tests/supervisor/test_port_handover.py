@@ -156,6 +156,22 @@ def test_its_loss_and_its_return_are_told_once_each(scene: Scene) -> None:
     assert [event["fields"] for event in told] == [{"path": DEVICE}, {"path": DEVICE, "away_s": 1.234}]
 
 
+@pytest.mark.parametrize("sure", [True, False])
+def test_a_return_says_only_that_the_stop_is_written_if_it_is(scene: Scene, sure: bool) -> None:
+    lose(scene)
+    scene.events()
+    scene.supervisor.handover.opener.finder.sure = sure
+    scene.plug()
+    scene.wire.fill()
+    bell = scene.run.bells[layout.SUPERVISOR]
+    assert scene.machine.run(lambda: scene.supervisor.loop.readable(bell.fd), 2 * LOOK_NS), "it is looked for"
+    turn(scene)
+    (text,) = [event["text"] for event in scene.events() if event["kind"] == "device_back"]
+    assert "NO STOP COULD BE WRITTEN YET" in text
+    assert "the stop is written" not in text
+    assert text.endswith("if the wheels turn, use the POWER SWITCH")
+
+
 @pytest.mark.parametrize(("number", "lost"), [(0, False), (1, True), (2, False)])
 def test_the_loss_of_another_port_is_no_loss_of_this_one(scene: Scene, number: int, lost: bool) -> None:
     """It may be late, and speak of the one before."""
