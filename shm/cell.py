@@ -128,7 +128,7 @@ class _Cells:
 
 class LatestReader(_Cells):
     """Reads the newest whole value of a record. If the bytes are the same as at the previous read, they are not checked
-    again, and the read takes only a third of the time. A record that was never written contains only zeros."""
+    again, and the read takes only a third of the time."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)

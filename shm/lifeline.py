@@ -69,8 +69,8 @@ class Lifeline:
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True if the process has died, even if neither report has reached this process yet. Makes two system calls and
-        never blocks."""
+        """True if the watched process has died. This can be so before a report has reached the loop. Makes two system
+        calls and never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
@@ -85,7 +85,7 @@ class Lifeline:
             _signal.pidfd_send_signal(self.fd, _SIGKILL)
 
     def demote(self) -> None:
-        """Take real-time priority from every thread of the dying process. Call this when the stop is written.
+        """Take real-time priority from every thread of the dying process. Call this after the stop was written.
 
         The kernel needs half a millisecond or more to free the dying process's memory. If it did this at real-time
         priority, other kernel threads could not use the same core meanwhile, and one of them may be sending the stop's

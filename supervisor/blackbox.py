@@ -30,8 +30,7 @@ COPY_NS = 2_200_000_000
 """How long after a stop the saver copies the rings. After 2.0 s, nothing more can be learned about a stop
 (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""The next run starts a saver for a dead run. This is how long that saver waits, at most, until the next run is
-ready."""
+"""How long the saver for an earlier, dead run waits, at most, until the current run is ready."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
@@ -41,8 +40,8 @@ ON_TIME_NS = START_NS
 """A saver that is late by more than this is not started while the robot may move, because starting it could hold up the
 driver."""
 GIVE_UP_NS = 30_000_000_000
-"""A stop is not saved if its saver is late by more than this. By then, the rings hold less than half a minute from
-before the stop."""
+"""A stop is not saved if its saver is late by more than this and still can't be started. By then, the rings hold less
+than half a minute from before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
@@ -63,9 +62,9 @@ class BlackBox:
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESS_NAMES]
         self._silences = [(0, 0)] * len(self._beats)
-        """For each process, its longest silence since the last sample, and when that silence was seen, both in ns."""
+        """For each process: (its longest silence since the last sample in ns, the time when that silence was seen)."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """The savers that are not started yet, as (when to start the saver, its options)."""
+        """The savers that are not started yet, as (the time to start the saver, its options)."""
         self._savers: dict[int, _socket.socket] = {}
         """The socket to each running saver, by the saver's pid. When the supervisor shuts down its side of a socket,
         the saver stops waiting and copies the rings at once. The saver sends its report on the same socket."""
@@ -180,8 +179,8 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Save every stop that still waits for a saver. Called at the end of the service, when its last stop was
-        written."""
+        """Start the savers that still wait, as many as may run, and wait for all savers for at most FINISH_S. Called at
+        the end of the service, after the last burst."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

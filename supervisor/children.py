@@ -92,8 +92,8 @@ class Child:
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
         """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
-        `settings`: the lease in the settings is the deadline if it is longer than the deadline in the row, because such
-        a lease means that the machine is too slow for a shorter deadline."""
+        `settings`: they contain the lease. The process's deadline is the lease or the deadline in the row, whichever is
+        longer. A lease longer than the row's deadline means that the machine is too slow for that deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
@@ -102,8 +102,7 @@ class Child:
         """The times of the process's recent deaths. After too many deaths, the process is not restarted."""
         self.state = WAITING
         self.pid = 0
-        """The pid of the process. It is 0 while no process exists, because the process waits for a restart or is
-        down."""
+        """The pid of the process. 0 before the process is started, and after it was reaped."""
         self.block = 0
         """The number of the block of futexes that the process holds."""
         self.life: Lifeline | None = None
@@ -181,8 +180,8 @@ class Child:
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """Return how long the process was silent, ns, if it beats again after its silence was excused. Each silence is
-        returned only once. Otherwise returns 0."""
+        """If the process beats again after an excused silence, return the length of the silence in ns, but only once.
+        Otherwise return 0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
             self._spared_ns = 0
@@ -190,7 +189,8 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """When the process will count as hanging unless it beats before. NEVER if no beat is expected."""
+        """The time from which the process counts as hanging if it has not beaten by then. NEVER if no beat is
+        expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns

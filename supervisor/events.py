@@ -208,7 +208,7 @@ def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
     """One event for the ring, as a msgpack map. `what`: how many characters at the start of the text say what has
-    happened. The rest says what the reader can do next. 0 if there is no such rest."""
+    happened. The remaining text says what the reader can do next. `what` is 0 if the text does not say this."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
@@ -243,8 +243,8 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 def is_journal(stream: str) -> bool:
     """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM. It names the device
-    and the inode of the stderr that systemd opened, as DEVICE:INODE. If stderr was redirected later, they are
-    different."""
+    and the inode of the stderr that systemd opened, as DEVICE:INODE. If stderr was redirected later, it has a
+    different device or inode."""
     try:
         found = os.fstat(STDERR)
     except OSError:

@@ -164,8 +164,8 @@ class Supervisor:
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
-        """Write the burst on the supervisor's own descriptor. Returns when it was written, or 0 if it could not be
-        written."""
+        """Write the burst on the supervisor's own descriptor. Returns the time when the burst was written, or 0 if
+        it could not be written."""
         written, now_ns = self._port.burst(), monotonic_ns()
         self._repeats.restart(now_ns)
         return self._wrote(now_ns) if written else 0
@@ -324,9 +324,10 @@ class Supervisor:
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """Stop the robot because a process is silent. Kill the process if it hangs, but not if the machine merely does
-        not run it (it is starved). A starved process continues by itself, and a new process on the same machine would
-        be starved too. If a process is starved while motion is disabled, the wheels are stopped already.
+        """Handle the silence of a process as the table says. A process is starved if the machine merely does not run
+        it. It continues by itself, and a new process on the same machine would be starved too, so it is normally not
+        killed. But a starved port owner is killed while motion is enabled, because it could still write a frame after
+        the burst. While motion is disabled, the wheels are stopped already.
 
             motion    starved port owner          other starved process       hanging process
             enabled   stopped, latched, killed    stopped, latched            stopped, latched, killed

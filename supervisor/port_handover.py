@@ -234,8 +234,8 @@ class PortHandover:
         return True
 
     def opened(self, now_ns: int) -> int | None:
-        """If the thread has opened a lost port again, share it with the other processes. Returns when the burst was
-        written to the port, or 0 if it was not written. Returns None if no port was opened again."""
+        """If the thread has opened a lost port again, share it with the other processes. Returns the time when the
+        burst was written to the port, or 0 if it was not written. Returns None if no port was opened again."""
         found = self.opener.pop()
         if found is None:
             return None

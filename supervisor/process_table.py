@@ -22,7 +22,7 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""How long the status shows that a process was starved, counted from the last time."""
+"""The status shows the longest silence of a starved process until no process was starved for this long."""
 GATE_AGAIN_NS = 60_000_000_000
 """A gate that has died too often is still started again after this time, because only the gate can receive a person's
 request for a reset."""

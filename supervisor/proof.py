@@ -235,8 +235,8 @@ class Link:
         """`_said_ns`: when the board last sent anything, or 0 if it has sent nothing since the port was opened.
         `_patience_ns`: how long the board may pause between two reports."""
         self._answered_ns = 0
-        """The board's time without an answer counts from this time. It is when the newest answered ping was sent, or
-        later if no answer could be read for a while."""
+        """The board's time without an answer counts from this time. Normally the newest answered ping was sent at
+        this time. The time is later if the port was opened since, or if no answer could be read for a while."""
         self._asked_ns = 0
         """When the first ping that the board has not answered was sent; 0 if no ping waits for an answer."""
         self._missed = False
@@ -300,8 +300,8 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """Return the length of a silence of the board that was excused because the machine held up the service, ns.
-        Each silence is returned once. Returns 0 if there is none."""
+        """If a silence of the board was excused because the machine held up the service, return its length in ns, but
+        only once. Otherwise return 0."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
@@ -329,7 +329,7 @@ class Link:
     def check_echo(self, unheeded_ns: int) -> None:
         """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: when the first
         of these reports came; 0 if there is no such report. A pause in the reports does not make the board deaf,
-        because the time counts only up to the newest report."""
+        because only the time up to the board's newest report counts."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 

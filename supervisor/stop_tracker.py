@@ -149,8 +149,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Track the proof of this stop from now on, unless an earlier stop is still latched, because people look at the
-        latched stop."""
+        """Begin to track the proof of this stop. Does nothing if the tracked stop was written and no reset has come
+        since, because people still look at that stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return

@@ -62,7 +62,7 @@ class Stop(Data):
         return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Find out which process has written the stop (see WRITERS). Returns (the process, when it wrote the burst,
+        """Find out which process has written the stop (see WRITERS). Returns (the process, the time of its burst in
         ns). The time is 0 if the supervisor must write the burst now. Returns None if the port owner may still write
         the burst.
 

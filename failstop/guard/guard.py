@@ -292,7 +292,7 @@ class Guard:
     def _ending(self, *, held: bool) -> str:
         """Return a text which says that a program has ended. `held`: True if the program's last motion was not zero.
         The text does not say that the wheels turned, because motion may have been disabled, or the service may have
-        ignored the program's commands until it sends zero."""
+        ignored the program's commands."""
         seen = list(map(str, self._door.seen.values()))
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:

@@ -42,7 +42,7 @@ class Scale:
         self._per_rps, self._nudge_rps = per_rps, step_rps * _NUDGE
 
     def velocity(self, speeds: Sequence[float], steering_rad: float | None = None) -> Velocity:
-        """The velocity of a base whose wheels turn at these speeds, given by wire id in the board's unit.
+        """The velocity of a base whose wheels turn at `speeds`. `speeds`: by wire id, in the board's unit.
         `steering_rad`: the angle of the steered wheels, or None if the wheels' speeds determine how the base turns."""
         rps = [speed / self._per_rps + copysign(self._nudge_rps, speed) if speed else 0.0 for speed in speeds]
         vx, vy, wz = self._chassis.velocity(rps)

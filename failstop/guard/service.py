@@ -144,7 +144,7 @@ class Service:
         return getattr(answer, "block", None)
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """What the board has sent since the previous call, as (when the bytes came, the bytes)."""
+        """What the board has sent since the previous call, as (the time when the bytes came, the bytes)."""
         found = []
         for ring in self._received if self._reader else ():
             while entry := ring.next():

@@ -32,7 +32,7 @@ MOST_FRAMES = 8
 MOST_REFUSALS = 32
 """How many different refusals are reported for one driver."""
 LATE_FOR_NS = 3_000_000_000
-"""The report about a driver's end mentions a late answer if the driver got it at most this long before."""
+"""The report about a driver's end mentions a late answer if the driver got it within this time before the end."""
 NOT_WHEELS = "a motion that is not valid"
 
 
@@ -126,8 +126,8 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """Return (how long the driver may have waited for its newest late answer, how long this kind of driver waits),
-        in ns. Returns None if the driver got no late answer within the last LATE_FOR_NS."""
+        """Return two times in ns: (how long the driver may have waited for its newest late answer, how long this kind
+        of driver waits for an answer). Returns None if the driver got no late answer within the last LATE_FOR_NS."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
@@ -191,8 +191,8 @@ class Talk:
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """When command() or frame() will next return something, if the driver writes nothing more. None if neither of
-        them will."""
+        """The time at which command() or frame() will next return something if the driver writes nothing more. None if
+        both will return nothing."""
         motion_ns = self._motion_due_ns()
         if not self._frames:
             return motion_ns
@@ -208,8 +208,8 @@ class Talk:
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
         """End the conversation, because the driver has gone. `unread`: bytes from the driver that were not read yet.
-        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out, but if
-        the last one is zero, the driver had stopped the wheels itself."""
+        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out. But if
+        the last motion in `unread` is zero, the driver had stopped the wheels itself."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
