@@ -33,8 +33,8 @@ def leave_after_ns(board: Board) -> int:
 DRAINED_NS = 5_000_000
 """How often to check whether the port still holds the stop."""
 _LINE = 1
-"""Each watched process has a block of futexes. This process waits on the futex with this number, and the supervisor
-waits on the futex with the number 0."""
+"""Each watched process has a block of futexes, with one line for each watching process. The supervisor waits on line 0,
+and this process waits on this line."""
 
 
 class Parent:
@@ -42,9 +42,9 @@ class Parent:
     that has this object stops the robot and exits soon afterwards."""
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
-        """`line`: the line to wait on in the supervisor's block of futexes. `port`: the port to which this process
-        writes its stops. `early`: True if the stop for the supervisor's death is written at once, by the thread that
-        waits for the death."""
+        """`line`: the line of the supervisor's block of futexes on which to wait (see _LINE). `port`: the port to
+        which this process writes its stops. `early`: True if the stop for the supervisor's death is written at once, by
+        the thread that waits for the death."""
         self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))

@@ -5,8 +5,9 @@ is stopped, a zero frame is written every 0.2 s, so that a board that restarts o
 
 Pings check that the board hears. They are written right after each stop, and otherwise once per period. The board
 handles frames in order. So if it answers a ping that was written after a stop, it was receiving correctly when the stop
-arrived. An answer shows which ping it belongs to, but not which sending of that ping. So the order of the pings is
-random, and after a loss the answers soon show how many were lost (board/handled.py).
+arrived. A board has a few different pings, and each is sent again and again. An answer shows which of the pings it
+belongs to, but not which sending of that ping. So the order of the pings is random. After a loss, the answers then soon
+show how many were lost (board/handled.py).
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class Repeats:
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
-        written, or how long after the last repeat if a repeat comes later than `zero_ns`. Each process that writes
-        stops has its own times."""
+        written. If the last repeat comes at that time or later, `zero_ns` counts from the last repeat. Each process
+        that writes stops has its own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -73,8 +74,9 @@ class Pings:
     """Decides when to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has. If it is 0, `due` must not be a timer of a loop.
-        `period_ns`: the usual time between two pings. `quick`: how many pings are sent in quick succession at first."""
+        """`count`: how many different pings the board has. If it is 0, `due` stays due, so it must not be a timer
+        of a loop, which would never sleep. `period_ns`: the usual time between two pings. `quick`: how many pings are
+        sent in quick succession at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS

@@ -119,8 +119,8 @@ class Slot:
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """Return what the client last reported about itself, for people: when the report came, what the program sees,
-        and what is wrong. None if the session has reported nothing."""
+        """Return the client's last report about itself, for people, as (time, what the program sees, what is wrong).
+        None if the session has reported nothing."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)

@@ -41,14 +41,14 @@ class ScanGate:
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
-        """Return when the last scan will become too old."""
+        """Return the time when the last scan will become too old."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
         """Return a note for people if the sensor's silence has just begun to block the wheels, or if the sensor is
-        back; otherwise None. The note includes the age of the last scan. If the wheels become blocked for another
-        reason, the sensor is not reported as back until it delivers a scan. `blocks`: True if the wheels are blocked by
-        the sensor's silence."""
+        back; otherwise None. The note includes the age of the last scan. While the sensor is silent, it is not
+        reported as back, whatever else blocks the wheels. `blocks`: True if the wheels are blocked by the sensor's
+        silence."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -124,7 +124,7 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """Return when no operator will count as present any more, unless a new proof arrives earlier."""
+        """Return the time when no operator will count as present any more, unless a new proof arrives earlier."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:

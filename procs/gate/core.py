@@ -115,8 +115,8 @@ class GateCore:
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Return when the wheels must stop because a command, an operator's presence or the last scan becomes too old.
-        The wheels stop at that moment, not at a later tick. None if nothing moves the wheels."""
+        """Return the time when the wheels must stop because a command, an operator's presence or the last scan becomes
+        too old. The wheels stop at that moment, not at a later tick. None if nothing moves the wheels."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None

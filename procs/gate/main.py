@@ -81,7 +81,7 @@ class Gate:
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._aux_ns = 0
         self._turn, self._frame = 0, b""
-        """How often in a row the last motion frame was sent again, and that frame."""
+        """`_turn`: how many times in a row the last motion frame was sent again. `_frame`: that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0
@@ -430,8 +430,8 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and when it is PUBLISH_NS old. A new time of the last scan does not
-        count as a change. This time changes at every tick, and each reader would have to unpack the whole state."""
+        """Publish the state when it has changed, and when it is PUBLISH_NS old. The time of the last scan does
+        not count. It changes at every tick, and each time every reader would have to unpack the whole state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

@@ -57,7 +57,7 @@ class Requests:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """For each kind of request, when the client made the newest one that was carried out."""
+        """For each kind of request, the time (Request.asked_ns) of the newest one that was carried out."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
         """For each slot, the session and number of the last request that was answered, by this gate or an earlier
@@ -118,8 +118,9 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the replies. First publish the state that results from the requests. Each reply is written behind a
-        memory barrier (cell.py), so a client that has read a reply never reads an older state."""
+        """Write the replies. Before this call, the caller must publish the state that results from the requests. Each
+        reply is written behind a memory barrier (cell.py), so a client that has read a reply never reads an older
+        state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()

@@ -73,7 +73,7 @@ class Sources:
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """Return when this command will be too old."""
+        """Return the time when this command will be too old."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:

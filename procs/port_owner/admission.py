@@ -26,8 +26,10 @@ A frame for the servos must pass these checks as well:
       its servos within their bounds (ServoBus.check)
     no motion frame was written since the last stop, or      drop it: this arm moves only while the wheels are stopped
       this board's arm may move while the wheels do
-    if the frame asks a servo something: no frame is before  drop it: a servo that does not answer blocks the receiver
-      it, and no servo moves, if that could delay a stop       for 5 ms
+    if the frame asks a servo something: no earlier frame    drop it: a servo that does not answer blocks the receiver
+      still blocks the receiver, and no servo moves. (Moving   for 5 ms
+      servos don't matter if this board's arm may move while
+      the wheels do.)
     the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
       less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
@@ -110,7 +112,7 @@ class Admission:
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """Return when the earlier of the two leases ends, if the gate and the supervisor last beat at these times."""
+        """Return the time when the earlier of the two leases ends, if the two processes last beat at these times."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
@@ -168,7 +170,7 @@ class BusSchedule:
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
-        """Return when a frame that has passed check() may be written, or NEVER if it must be dropped."""
+        """Return the time when a frame that has passed check() may be written, or NEVER if it must be dropped."""
         bus = self._bus
         if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER

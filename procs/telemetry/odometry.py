@@ -66,8 +66,8 @@ class Odometry:
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         self._errors = self._ways
-        """How far an error of one turn of each wheel moves the base, in the form of `_ways`. It differs from `_ways`
-        only for a steered base with one driven wheel."""
+        """How far x, y and th are off if the turns of a wheel are off by one, in the form of `_ways`. It differs from
+        `_ways` only for a steered base with one driven wheel."""
         self._bend = 0.0
         """How far the base turns per meter at the commanded steering angle, rad/m. Only used for a steered base with
         one driven wheel."""

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 FORGOTTEN_NS = 500_000_000
 """A report of the obeyed command that is older than this says nothing about the present."""
 PAUSE_NS = 100_000_000
-"""If the reports pause for longer than this, and for longer than two reports take, the board counts as obeying zero
-only since the first report after the pause. The reason is that a stalled adapter delivers old reports after the
-pause."""
+"""If the reports pause for longer than this and for longer than two of their periods, the board counts as obeying zero
+only since the first report after the pause. That report may be old, because an adapter that was stalled delivers it
+late. So it does not show what the board obeyed during the pause."""
 
 
 class Proving:

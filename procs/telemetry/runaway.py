@@ -115,8 +115,8 @@ class Finding(Data):
 
 
 class _Wheel:
-    """Keeps when one wheel began to turn faster than commanded or in the other direction, and when it began to stand
-    still."""
+    """Keeps two times for one wheel: when it began to turn faster than commanded or in the other direction, and when it
+    began to stand still."""
 
     __slots__ = (
         "before_rps",

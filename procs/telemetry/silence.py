@@ -1,4 +1,5 @@
-"""Silence: remembers when the board last sent anything, and how long it may pause before it counts as silent. Pure.
+"""Silence: keeps the time when the board last sent something, and how long it may pause before it counts as silent.
+Pure.
 
 Only a board that sends reports without being asked can be judged by its pauses. If a board sends only answers, its
 silence shows as unanswered pings, which the supervisor judges (supervisor/proof.py).
@@ -35,8 +36,8 @@ are no silence."""
 
 
 class Silence:
-    """Remembers when one board at one port last sent anything, and how long it may pause. Times are CLOCK_MONOTONIC in
-    ns."""
+    """Keeps the time when one board at one port last sent something, and how long it may pause. Times are
+    CLOCK_MONOTONIC in ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
         """`patience_ns`: how long the board may pause, as an earlier telemetry process has measured it; 0 if not

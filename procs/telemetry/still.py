@@ -36,15 +36,15 @@ class StillJudge:
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """If the present window is quiet, the times of the first and the last sample of the first window in the
-        unbroken row of quiet windows. Otherwise zeros."""
+        """The times of the first and the last sample of one window: the one since which all windows have been quiet.
+        Zeros if the present window is not quiet."""
         self.still_ns = 0
         """The time since which the wheels have been still: all samples from this time on are in quiet windows. 0 if the
         wheels turn, or if it is not known. The time may be a little before the wheels stopped, because a window is
         quiet as soon as the wheels were at rest during most of it."""
         self.judged_ns = 0
-        """The time of the last sample that has a verdict. 0 if there is no verdict, for example until the first quiet
-        windows have held for HOLD_NS."""
+        """The time of the newest sample, or 0 if there is no verdict now. For example, there is none until the windows
+        have been quiet for HOLD_NS."""
 
     def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
         """Add one finite sample. It may contain the bias or not. Takes about 2 us."""

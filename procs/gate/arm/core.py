@@ -83,8 +83,8 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Return the name of the client whose goal or trajectory counts at the moment. Empty if no goal counts, or if
-        that client's session is `session`."""
+        """Return the name of a client whose goal or trajectory counts at the moment. The client with the session
+        `session` is left out. Empty if there is no such client."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
@@ -245,7 +245,7 @@ class ArmCore:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
     def _free_ns(self) -> int:
-        """Return when the servos' bus is free again after the last question and the last torque command."""
+        """Return the time when the servos' bus is free again after the last question and the last torque command."""
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
@@ -254,7 +254,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """Return when step() has something to do next. A time in the past means at once."""
+        """Return the time when step() next has something to do. A time in the past means at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:

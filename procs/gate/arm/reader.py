@@ -1,9 +1,9 @@
 """Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
 The firmware does not match answers with questions. If the answer to one question comes late, the firmware returns it as
-the answer to the next question. The question after that one then gets the value 0, as if a servo had answered. So the
-reader ignores the first answer after an unanswered question. It believes a position only when two readings in a row
-agree, and it believes a 0 only as the state of the torque.
+the answer to the second question. A third question then gets the value 0, as if a servo had answered. So the reader
+ignores the first answer after an unanswered question. It believes a position only when two readings in a row agree, and
+it believes a 0 only as the state of the torque.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""How much the port owner's delays for two frames may differ on a busy machine. The port owner drops a question that
-arrives too soon after the frame before it, and the servo would seem not to answer."""
+"""The largest difference between the port owner's delays for two frames, on a busy machine. So two frames may come
+closer together than they were sent. The port owner drops a question that comes too soon, and then the servo seems not
+to answer."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
-"""The shortest time between the last move and the next question. The port owner would drop an earlier question, because
-a servo may still be moving."""
+"""The shortest time between the last move and the next question. The port owner drops a question while a servo may
+still be moving."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
 """The shortest time between two questions. The port owner drops a question while an earlier one may still block the
 receiver."""
@@ -69,7 +70,7 @@ class ServoReader:
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """Return when the receiver is free again after the last question, even if the servo does not answer."""
+        """Return the time when the receiver is free again after the last question, even without an answer."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:

@@ -274,8 +274,8 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck the arm if nobody has used it for a while. This time does not run while the arm follows a goal, or
-        accepts no goals."""
+        """Tuck the arm if nobody has used it for a while. This time counts from the last moment at which
+        the arm followed a goal or accepted no goals."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:

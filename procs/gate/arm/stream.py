@@ -67,7 +67,7 @@ class Stream:
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """One entry per group of joints: when the group's next frame is due, and its joints. The group that is due
+        """One entry per group of joints, as (the time when its next frame is due, its joints). The group that is due
         first comes first. Empty if no servo is moving."""
         self._apart_ns = 0
         """The time when the servos' bus is free again after the last move."""
