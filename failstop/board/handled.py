@@ -34,7 +34,7 @@ ONE_STOP_NS = 20_000_000
 """If several processes write a stop within this time, in ns, their stops count as one, because all of them have the
 same cause."""
 MARGIN_NS = 100_000_000
-"""How much too early a board's own watchdog may act, in ns."""
+"""How much earlier than its set time a board's own watchdog may act, in ns."""
 
 
 class Answers:
@@ -48,8 +48,8 @@ class Answers:
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """Find the earliest open question to which this answer fits, and return when the question was asked, in ns.
-        Returns 0 if the answer fits no open question. `indices` are the questions that have this answer. The found
+        """Find the earliest open question to which this answer fits. Returns the time in ns at which this question was
+        asked, or 0 if the answer fits no open question. `indices` are the questions that have this answer. The found
         question is closed. All earlier questions are closed too, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
@@ -95,7 +95,7 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Return when the stop that the board obeys was written, in ns. Returns 0 if the report proves no stop.
+        """Return the time in ns at which the stop that the board obeys was written, or 0 if the report proves no stop.
         `others_ns` are the times at which other processes last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
@@ -121,8 +121,9 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """Find the earliest kept command with these speeds. Returns its place among the kept commands, counted from 1,
-        and when it was written. Returns (0, 0) if no kept command has these speeds."""
+        """Find the earliest kept command with these speeds. Returns (place, time). `place` is its place among the kept
+        commands, counted from 1, and `time` is the time in ns at which it was written. Both are 0 if no kept command
+        has these speeds."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -165,9 +166,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns a time in ns, or 0 if the report proves nothing new. The
-        board has handled everything that was written up to this time. If a stop was among it, the board obeys the stop.
-        `others_ns` is as in Echo.obeyed()."""
+        """Handle a report that came at `came_ns`. Returns 0 if the report proves nothing new. Otherwise returns a time
+        in ns. The board has handled everything that was written up to this time. If the last command up to this time
+        was a stop, the board obeys it. `others_ns` is as in Echo.obeyed()."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

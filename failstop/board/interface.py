@@ -195,15 +195,16 @@ class Board:
     """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 if it need not be
     silent. A stop never waits for this."""
     after_ns: int
-    """How long the line must be silent after a stop, in ns, even before the same writer's next stop. 0 means that stops
-    may follow each other without a gap. If it is not 0, a stop counts as lost until it was repeated."""
+    """How long the line must be silent after a stop, in ns. Another stop of the same writer must wait for this too. 0
+    means that stops may follow each other without a gap. If it is not 0, a stop may be lost, so the wheels count as
+    moving until the stop was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """When a writer repeats its stop, in ns after its first stop. Each writer has its own row (PORT_OWNER_ROW,
-    STOPPER_ROW, SUPERVISOR_ROW). The rows may differ, because the writers can't see each other's bytes. If the stops of
-    two writers touch on the line, their next stops then come at different times and do not touch. Some boards lose two
-    stops that touch. For such a board the repeats go on for 0.4 s, which is longer than an adapter stalls, and the
-    writers finish their repeats even if the supervisor dies. When motion ends, the port owner repeats the gate's first
-    frame of zeros at the same times."""
+    """The times at which a writer repeats its stop, in ns after its first stop. Each writer has its own row
+    (PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW). The rows may differ, because the writers can't see each other's
+    bytes. If the stops of two writers touch on the line, their next stops then come at different times and do not
+    touch. Some boards lose two stops that touch. For such a board the repeats go on for 0.4 s, which is longer than an
+    adapter stalls, and the writers finish their repeats even if the supervisor dies. When motion ends, the port owner
+    repeats the gate's first frame of zeros at the same times."""
     stop: bytes
     """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
@@ -223,7 +224,7 @@ class Board:
     ping_ns: int
     """The longest time between two pings that the proofs about this board allow, in ns. 0 means any time."""
     echo_ns: int
-    """How long after a command was written the board may take to report that it obeys the command, in ns. 0 if the
+    """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
     board makes no such reports. If it makes them, only such a report acknowledges a stop. An answer to a ping is then
     not enough."""
     silent_ns: int

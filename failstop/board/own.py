@@ -277,8 +277,8 @@ def _source(path: str) -> bytes:
 
 def _open(path: str) -> tuple[int, os.stat_result]:
     """Return a descriptor and the status of the file or folder at a full path. Each folder and link on the way is
-    opened without following links, and checked through its own descriptor. So nobody can exchange it between the check
-    and the use. Raises OwnBoardError."""
+    opened without following links, and checked through its own descriptor. So nobody can exchange a folder or a link
+    between its check and its use. Raises OwnBoardError."""
     here, at, links = os.open("/", os.O_PATH | os.O_CLOEXEC), "/", 0
     left = path.split("/")[::-1]
     info = os.fstat(here)

@@ -245,7 +245,7 @@ def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
 
 
 def _check_raw(path: str, descriptor: int, baud: int, speed: int) -> None:
-    """Check that all changes were made, because tcsetattr succeeds if it could make any one of them. Raises
+    """Check that the port has taken all settings, because tcsetattr succeeds if the port has taken at least one. Raises
     PortError."""
     after = termios.tcgetattr(descriptor)
     took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]

@@ -28,8 +28,8 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""How long burst() writes nothing after early_stop() has written a whole stop, in ns. Otherwise the loop of the same
-process would write the same stop once more right after it."""
+"""How long burst() writes nothing after early_stop() has written a whole stop, in ns. Without this pause, the loop of
+the same process would write the same stop once more right after it."""
 
 
 class StopPort:
@@ -45,8 +45,9 @@ class StopPort:
         """The time when the line will have been silent for as long as the board needs, in ns. It counts only what this
         process has written. 0 if the board needs no silence."""
         self._line_ns = 0
-        """The earliest time for this process's next stop, in ns. Until then, its newest stop is still on the line, or
-        the line must be silent after that stop. Another stop would garble both. 0 if a stop may be written at once."""
+        """The earliest time for this process's next stop, in ns. 0 if a stop may be written at once. Until this time,
+        the newest stop is still on the line, or the line must be silent after it, or early_stop() has just written it.
+        On some boards, a second stop before this time would garble both stops."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -55,8 +56,8 @@ class StopPort:
         self._stop_begun = False
         """True if `unsent` is the rest of a stop."""
         self._writing = _thread.allocate_lock()
-        """A lock that the loop holds while it checks whether it may write, and writes. In early_stop(), another thread
-        holds it."""
+        """A lock that a thread holds while it checks whether it may write, and while it writes. Both the loop and the
+        thread that calls early_stop() take it."""
 
     def early_stop(self) -> None:
         """Write the beginning of the burst, up to the end of its first stop frame. The thread that has noticed a death

@@ -86,8 +86,8 @@ class Tap:
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Find the earliest ping to which this answer fits (see handled.py), and return when the ping was written, in
-        ns. Returns 0 if the answer fits no ping."""
+        """Find the earliest ping to which this answer fits (see handled.py). Returns the time in ns at which this ping
+        was written, or 0 if the answer fits no ping."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:

@@ -80,12 +80,12 @@ class TimedStop(Data):
     after_ns: int
     """How long the line must be silent after the last byte of the stop, in ns."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """When each writer writes the stop, in ns after its first stop. The first row is for the port owner, the second for
-    the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and goes on with the
-    times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line. Some boards
-    drop two stops that touch. For such a board, give each row different times, so that the next stops of the two
-    writers do not touch. The last repeats must then come later than 0.3 s, because after a stall an adapter sends
-    everything it has kept at once."""
+    """The times at which each writer writes the stop, in ns after its first stop. The first row is for the port owner,
+    the second for the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and goes
+    on with the times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line.
+    Some boards drop two stops that touch. For such a board, give each row different times, so that the next stops of
+    the two writers do not touch. The last repeats must then come later than 0.3 s, because after a stall an adapter
+    sends everything it has kept at once."""
 
 
 class Pace(Data):
@@ -141,7 +141,7 @@ class Motion(Data):
     step: float
     """Speeds are rounded towards zero to a multiple of this number."""
     apart: float
-    """The largest difference between two wheels that the board accepts."""
+    """The largest difference between two wheels' speeds that the board accepts."""
     frame: Callable[[Sequence[float], float], bytes]
     """A function (speeds, limit) that returns the frame which sets all wheels. It raises FrameError unless each speed
     is within plus or minus `limit`. For zeros it always returns exactly `rest`."""
@@ -312,7 +312,7 @@ class Wire(Data):
     ping_ns: int
     """The longest time between two questions that the proofs allow, in ns. 0 means any time."""
     echo_ns: int
-    """How long after a command was written the board may take to report that it obeys the command, in ns. 0 if the
+    """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
     board makes no such reports."""
     other_bauds: tuple[int, ...] = ()
     """Other baud rates with which the board's firmware is often built. `failstop doctor` and `failstop setup` try these

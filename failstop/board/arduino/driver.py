@@ -48,8 +48,8 @@ _LOST_NS = 100_000_000
 """How long failstop waits for the board's counts before a driver's next `e` makes it ask again, in ns. failstop also
 asks for the counts itself, ten times a second."""
 _STEADY_NS = 200_000_000
-"""The greatest age of the counts from a driver's previous `e` that may answer its next `e`, in ns. If they are older,
-the driver gets the newest counts instead."""
+"""A driver's `e` is answered with the counts that the board reported after the previous `e`. If they are older than
+this many ns, it is answered with the newest counts instead."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -83,7 +83,8 @@ class ArduinoDriver:
         """`pins` are the pins that the driver may set."""
         self._pins = pins
         self._asked_ns = 0
-        """When the board was asked for counts because the driver sent an `e`. 0 if the board has answered since."""
+        """The time when failstop asked the board for counts because the driver sent an `e`, in ns. 0 if no such
+        question waits for its answer."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._command = 0
         self._at = 0

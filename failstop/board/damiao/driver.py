@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 PATIENCE_NS = 1_000_000_000
 """How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""How far back a new DamiaoDriver gets what the motors sent before the driver opened the port, in ns. Every motor sends
-at least one report in this time."""
+"""A new DamiaoDriver gets the bytes that the motors sent in this many ns before the driver opened the port. Every motor
+sends at least one report in this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
@@ -104,9 +104,9 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """Handle one line without its end. An empty line does nothing here, although it makes a CANable repeat its
-        newest command. A line of zeros does nothing either. Even if the adapter splits a long line of zeros into
-        several lines, none of them is a command."""
+        """Handle one line. `line` does not include its carriage return. An empty line does nothing here, although it
+        makes a CANable repeat its newest command. A line of zeros does nothing either. Even if the adapter splits a
+        long line of zeros into several lines, none of them is a command."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 CR = b"\r"
 MOST_LINE = 21
-"""The longest line that failstop writes, in characters without its end."""
+"""The most characters in a line that failstop writes, not counting the carriage return."""
 FLUSH = b"0" * 160 + CR
 """A CANable drops a line of more than 30 characters, and a CANable 2 one of more than 155. FLUSH is longer than both,
 and is not a command itself."""
@@ -36,8 +36,8 @@ def line(can_id: int, data: bytes) -> bytes:
 
 
 def frame_of(text: bytes, least: int = 8) -> tuple[int, bytes] | None:
-    """Return the CAN id and the data of a line. None if the line is not a frame of `least` to 8 bytes. `text`: the line
-    without the carriage return. After the data, it may have a time stamp of four digits."""
+    """Return the CAN id and the data of a line. None if the line is not a frame of `least` to 8 bytes. `text` is the
+    line without its carriage return. A time stamp of four digits may follow the data."""
     if len(text) < _HEAD or not text.startswith(b"t") or not _DIGITS.issuperset(text[1:]):
         return None
     size = int(text[4:_HEAD], 16)

@@ -5,7 +5,7 @@ The rest then comes with the next burst, from the same process or from another o
 because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist
 does nothing.
 
-So one danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
+One danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
 its own watchdog. Because it does not answer, stops do not count as acknowledged, and motion can't be enabled.
 """
 

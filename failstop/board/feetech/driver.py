@@ -30,9 +30,9 @@ PATIENCE_NS = 34_000_000
 50 ms. If an answer came too late, the host would take it for the answer to its next question. From then on, the host
 would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""How far back a new FeetechDriver gets what the servos sent before the driver opened the port, in ns. A host asks for
-the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position only about
-every two seconds, so a shorter time might not be enough."""
+"""A new FeetechDriver gets the bytes that the servos sent in this many ns before the driver opened the port. A host
+asks for the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position only
+about every two seconds, so a shorter time might not be enough."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"

@@ -39,8 +39,8 @@ def motion(both: Sequence[float], limit: float) -> bytes:
     `limit`.
 
     Speeds become whole numbers, truncated towards zero. If the sum of the two whole numbers is odd, the speed that is
-    further from zero goes one step closer to zero. Otherwise the board would round half a unit in the mean, and a wheel
-    at rest would creep backward.
+    further from zero goes one step closer to zero. If the sum stayed odd, the mean would not be a whole number and
+    would be rounded down. A wheel at rest would then creep backward.
     """
     left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
@@ -84,7 +84,8 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 MARKS = (0, 1, 0, 2)
 """By how many units each frame is slowed while failstop repeats the same motion. The frames get these numbers in turn.
-The numbers 1 and 2 alternate, so that a report of the next slowed frame can't be taken for a report of a lost one."""
+The numbers 1 and 2 alternate. So if a slowed frame is lost, a report of the next slowed frame can't be taken for a
+report of the lost frame."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:

@@ -115,9 +115,9 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """When each writer repeats its stop, in ns after its first stop. The writers may have the same times, because this
-    board accepts stops that follow each other without a gap. The supervisor repeats no stop, because the stopper
-    does."""
+    """The times at which each writer repeats its stop, in ns after its first stop. The writers may have the same times,
+    because this board accepts stops that follow each other without a gap. The supervisor repeats no stop, because the
+    stopper does."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]

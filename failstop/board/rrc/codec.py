@@ -137,7 +137,7 @@ def pwm_servo_read(servo: int) -> bytes:
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because
-    with it a buzzer once never stopped.
+    a buzzer that was once sent this value never stopped.
 
     If the frame were cut short, the zeros of the stop burst might complete it with an off time of 0. To prevent this,
     the tone may be a few hertz lower, or a few hertz higher at the low end.

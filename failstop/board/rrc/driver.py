@@ -60,8 +60,8 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """True after bytes that begin no frame were refused, so that more of them are not refused again. It becomes
-        False after the next whole frame."""
+        """True after bytes that begin no frame were refused. While it is True, more such bytes cause no new refusal. It
+        becomes False after the next whole frame."""
         self._speeds = [0.0] * WHEELS
         """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()

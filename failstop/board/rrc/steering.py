@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PWM, BUS = "pwm", "bus"
 STEER = 3
 """The sub-command that moves one PWM servo. failstop does not use the sub-command that moves several PWM servos,
-because the firmware mistakes its pulse for its duration (firmware source)."""
+because the firmware takes the pulse in that sub-command for the duration (firmware source)."""
 TAKES_MS = 20
 """How long the servo may take for a move, in ms. This is also the time until the next steering frame."""
 LONGEST_WAY_MS = 28

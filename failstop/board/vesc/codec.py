@@ -1,20 +1,20 @@
 """The packets of the VESC firmware. Source: vedderb/bldc b9d287b.
 
 A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A packet for
-a controller on the CAN goes to the controller at the port, which passes it on. Its payload then begins with FORWARD and
-the CAN id, and the payload for the controller on the CAN comes after these. The frame for several motors has one packet
-for each, in one write. The motor at the port comes first. If nothing on the CAN takes a packet, that packet waits for
-up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
+a controller on the CAN goes to the controller at the port, which passes it on. The payload of such a packet begins with
+FORWARD and the CAN id, and the payload for the controller on the CAN follows. The frame for several motors has one
+packet for each, in one write. The motor at the port comes first. If nothing on the CAN takes a packet, that packet
+waits for up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
 
 The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
 after that keeps the phases shorted. Three other commands could stop a motor, but they are worse (mcpwm_foc.c,
 foc_math.c). A current of zero lets the motor roll. A speed of zero follows a ramp, by default 25,000 ERPM per second. A
 brake current would need a number that fits the motor.
 
-If a receiver waits for the rest of a packet and that packet fails, it searches the bytes it has for other packets. So a
-stop among them is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is
-a few bytes, or up to 260 if the speed in the packet looks like the head of another packet. After a garbled length, or a
-long packet of another program, it is up to PENDING bytes.
+If a receiver waits for the rest of a packet and that packet fails, it looks for other packets in the bytes that it has
+received. So a stop among these bytes is never lost, only late (packet.c, since firmware 3.48). After a cut packet of
+this module the delay is a few bytes, or up to 260 if the speed in the packet looks like the head of another packet.
+After a garbled length, or a long packet of another program, it is up to PENDING bytes.
 """
 
 from __future__ import annotations

@@ -40,9 +40,9 @@ class VescDriver:
     """Reads the packets that one driver program writes to the guard port, and returns the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
-        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is (the servo's
-        pulse for straight ahead, the change of the pulse for one radian to the left), both in us, or None if the base
-        is not steered."""
+        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is None if the
+        base is not steered. Otherwise it is (the servo's pulse for straight ahead, the change of the pulse for one
+        radian to the left), both in us."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]

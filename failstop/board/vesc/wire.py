@@ -3,7 +3,7 @@ own packets, and all of them go out in one write.
 
 Because one write has the packets for both controllers, a process can't die after it has stopped only one motor. The
 kernel may take only a part of a write. The rest then comes with the next burst, from the same process or from another
-one, and the receiver finds every whole packet that follows a cut one. So one danger remains: a controller that hears
+one, and the receiver finds every whole packet that follows a cut one. One danger remains: a controller that hears
 nothing, for example because its CAN plug is out. The motor of such a controller is stopped by the controller's own
 timeout. Because such a controller does not answer, stops do not count as acknowledged, and motion can't be enabled.
 
