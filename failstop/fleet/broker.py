@@ -50,8 +50,8 @@ CLOSE_S = 1.0
 """How long to wait for the broker to end the connection after this client has sent its goodbye, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long one call of deliver() may hand on messages, newest first, s. Then it drops the remaining messages, which are
-older."""
+"""How long one call of deliver() may hand on messages, s. The newest message is the first. After this time, the
+remaining messages are dropped."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""

@@ -62,10 +62,11 @@ class Duty:
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
         """Return True if the service has obeyed this fleet stop. `stop` is the service's last stop. Usually it is a new
-        stop, so its epoch is newer than the service's epoch before the request.
+        stop, so its epoch is newer than the epoch that the service had before the request.
 
-        If a stop was latched already, the service makes no new one. Then its epoch must have grown, which shows that
-        the service has received the request. It must also still hear the board, if the board can answer.
+        If a stop was latched already, the service makes no new stop. In this case the service's own epoch must be newer
+        than before, which shows that the service has received the request. If the board can answer, the service must
+        also still hear the board.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s

@@ -49,7 +49,7 @@ class Header:
         self._sent: dict[str, int] = {}
 
     def topic(self, last: str) -> str:
-        """Return the topic of this robot that ends with `last`."""
+        """Return this robot's topic that ends with `last`."""
         return topics.of_robot(self.fleet, self.robot, last)
 
     def message(self, last: str, body: Message, unix_s: float) -> bytes:

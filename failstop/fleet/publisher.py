@@ -58,7 +58,7 @@ FIRST_LOOK_S = 0.003
 """How long after requesting a stop to look for the first time, s. By then the service has usually written the stop, so
 the first answer can already say so."""
 CHANGES_S = 1.0
-"""The shortest time between two messages about values that change all the time, s, for example a velocity."""
+"""The shortest time between two state messages if only values such as a velocity have changed, s."""
 MOST_EVENTS = 20
 """How many events are published at one look. If there are more new events, only the newest are published, but the
 journal has all of them."""

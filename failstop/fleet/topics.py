@@ -16,8 +16,8 @@ EVENT = "event"
 
 
 def of_robot(fleet: str, robot: str, last: str) -> str:
-    """Return the topic of one robot that ends with `last`. If `robot` is ANY, the result is a pattern that matches this
-    topic of every robot."""
+    """Return a robot's topic that ends with `last`. If `robot` is ANY, the result is a pattern that matches this topic
+    of every robot."""
     return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 

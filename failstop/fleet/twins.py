@@ -81,9 +81,9 @@ class Twins:
         self._connections = 0
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
-        """For each publisher that used this robot's name before this publisher's first connection, the date of the
-        message that the broker had stored, or infinity if the date is not known. These publishers may have ended, and
-        their clocks may have been ahead."""
+        """Other publishers that have used this robot's name, as known from the message that the broker had stored
+        before this publisher's first connection. The publisher that made the message has the message's date, if there
+        is one. All others have infinity. These publishers may have ended, and their clocks may have been ahead."""
 
     def connected(self) -> None:
         """Note a new connection to the broker. Call this before hear(), because the broker first sends its stored

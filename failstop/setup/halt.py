@@ -31,7 +31,7 @@ SETTLES_S = 0.3
 moment while it is being opened again."""
 RETRY_S = 0.02
 WRITES = 5
-"""How many times a stop is written to a board that can't confirm it, because one stop alone may be lost on the line."""
+"""How many times a stop is written to a board that can't confirm it. A single stop may be lost on the line."""
 APART_S = 0.1
 STALE_S = 0.03
 """How long answers to an earlier program's questions may still arrive, s."""

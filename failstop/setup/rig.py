@@ -46,8 +46,8 @@ so because this distance is a power of two."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
-"""How much later than the answer to enable() the gate may publish that motion is enabled, s. The gate is that late only
-on a busy machine."""
+"""How long drive() keeps trying while its commands are blocked, s. On a busy machine, the gate may publish that motion
+is enabled only some time after it has answered enable()."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 
 Velocity = tuple[float, float, float]
@@ -55,7 +55,7 @@ Velocity = tuple[float, float, float]
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
     """Return settings and a velocity that together turn only one wheel, the wheel with the id `id_`. The motor turns in
-    its own forward direction. The wheel may turn backward, because that depends on the motor's wiring.
+    its own forward direction. The wheel turns forward or backward, depending on the motor's wiring.
 
     `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
     speeds, the board must have ids for at least three wheels.

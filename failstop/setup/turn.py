@@ -1,9 +1,10 @@
 """Turn: finds out how many of the board's units make one turn of a wheel. This needs a person, because the board can't
 know that number.
 
-Many boards use the same scale for the speeds that are commanded and for the speeds that are reported. So the two speeds
-agree even if the scale is wrong. Instead, a person turns a wheel by hand, and the change of the board's counts shows
-the true scale. If no wheel can be turned by hand, failstop drives a wheel slowly, and the person counts its turns.
+Many boards use the same scale for the speeds that are commanded and for the speeds that are reported. With a wrong
+scale, the two speeds still agree, so comparing them shows nothing. Therefore a person turns a wheel by hand, and the
+change of the board's counts shows the true scale. If no wheel can be turned by hand, failstop drives a wheel slowly,
+and the person counts its turns.
 """
 
 from __future__ import annotations

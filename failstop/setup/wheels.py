@@ -184,8 +184,8 @@ class Trial:
         self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """Turn the motor with this id, and ask the person which wheel has turned. The motor turns again until the
-        person names the wheel."""
+        """Turn the motor with this id, and ask the person which wheel has turned. Repeat this while the answer is
+        "again" or "faster"."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if not talk.known(key):

@@ -63,9 +63,9 @@ class Driving:
         """Viewers who held the stick while motion was disabled. Their stick moves nothing until they let go of it, even
         if motion is enabled again."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each viewer who holds the stick, the robot's epoch and the time at which motion was last enabled (ns),
-        both from the beginning of the push. If either has changed since then, the viewer must let go of the stick
-        before driving again."""
+        """For each viewer who holds the stick, the robot's epoch, and the time at which motion was last enabled (ns).
+        Both are from the moment at which the viewer took hold of the stick. If either has changed since then, the
+        viewer must let go of the stick before driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
         """Return True if the operator of this device has chosen a speed limit. Also return True if no choice is needed,

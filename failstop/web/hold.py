@@ -34,7 +34,7 @@ class Hold:
     begun_s: float
     heard_s: float
     enough_s: float | None = None
-    """When the button had been held for HOLD_S. None until then."""
+    """The time at which the button had been held for HOLD_S. None before that."""
 
     def held(self, now_s: float) -> bool:
         """Note a message that the button is still held. Returns False if the message came too late."""
@@ -42,8 +42,8 @@ class Hold:
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """Return True once, when the button has been held for HOLD_S. The caller must then ask the page to confirm the
-        hold."""
+        """Return True at the first call after the button has been held for HOLD_S, else False. If True, the caller must
+        ask the page to confirm the hold."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s

@@ -106,8 +106,8 @@ class Incidents:
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes | None:
-        """Run `failstop incident` with these arguments, and return its output. Return b"" if it failed, and None if it
-        was not ready in time, because then the next viewer who asks may have better luck."""
+        """Run `failstop incident` with these arguments, and return its output. Return b"" if it failed. Return None
+        if it was not ready in time; it then runs again when the next viewer asks."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),

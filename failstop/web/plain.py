@@ -38,7 +38,8 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Answer a browser that speaks HTTP before its TLS connection is closed. `known`: the robot's host names."""
+    """Prepare a TLS connection: if its browser speaks plain HTTP, the browser gets an answer before the connection is
+    closed. `known`: the robot's host names."""
     close_fd = stream.close_fd
 
     def answered() -> None:

@@ -104,8 +104,8 @@ class Asked:
 
 async def written(name: str, asked_ns: int) -> bool:
     """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner
-    reports a written stop, or the supervisor, which writes the stop if no port owner can. Returns False if no stop was
-    written within WRITTEN_S, or if no service is running."""
+    or the supervisor reports that it has written a stop. The supervisor does so if no port owner can. Returns False if
+    no stop was written within WRITTEN_S, or if no service is running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 PERIOD_S = 0.1
 SLOW_S = 0.5
-"""How often to update the values that people read, s. If something important changes, they are updated at once."""
+"""The time between two updates of the values that people read, s. If something important changes, they are updated at
+once."""
 AGAIN_S = 0.5
 """The time between two attempts to find a service while none is running, s."""
 

@@ -44,7 +44,8 @@ REMEMBERED = 400
 """The largest number of values that a sparkline shows. On a wider terminal, the left part of the sparkline's row stays
 empty."""
 SLOW_S = 0.5
-"""How often ages and the process table are redrawn, in seconds. Digits that change faster can't be read."""
+"""The time between two redraws of the ages and the process table, in seconds. Digits that change faster can't be
+read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
 TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)

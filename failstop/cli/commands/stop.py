@@ -276,8 +276,8 @@ class Target:
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
-        """The port to which the stop was written because the port of the last run could not be used, and the uid of the
-        user whose settings file names this port. ("", 0) if the stop was not written this way."""
+        """A port and a uid, if the port of the last run could not be used and the stop was written to this port
+        instead. The uid is that of the user whose settings file names this port. Otherwise ("", 0)."""
         self._stopped = False
         """True once a stop was written. After that, board() may run the user's own Python code for the board, which is
         needed to ask the board for an answer."""
@@ -311,8 +311,8 @@ class Target:
 
     def board(self) -> Board:
         """Return the board at the port. Its kind comes from the last run if that run used the same port, else from the
-        settings file. Until the stop is written, this returns the stop that the last run has saved for the user's own
-        kind of board, if there is one, so that the user's Python code need not run first."""
+        settings file. If the last run has saved the stop for the user's own kind of board, this returns a board with
+        only that stop until the stop is written. So the user's Python code need not run first."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -427,9 +427,9 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """Write the stop to the port that the settings file names, or to the default port. This is only tried after the
-        port of the last run, because the board may have got a new port when it was plugged in again. Returns True if a
-        stop was written."""
+        """Write the stop to the port that the settings file names, or to the default port. This helps if the
+        board has got a new port when it was plugged in again, so that the port of the last run can't be used. Returns
+        True if a stop was written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -441,8 +441,8 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """Return True if root refused to open the port that a user's file names, because the user may not open it or
-        because it is not a serial port. Otherwise a user could make root write to any device."""
+        """Return True if root refused to open the port that a user's file names. Root refuses a port that this user may
+        not open, and anything that is not a serial port. Otherwise a user could make root write to any device."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:

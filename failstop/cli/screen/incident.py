@@ -26,7 +26,8 @@ LEAD = 2 + 10 + 2 + LABEL + 2
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
 """The words for the names in Incident.ages()."""
 LEAST_APART_NS = 100_000
-"""How far apart two times of a stop must be for both to be shown, in ns."""
+"""If a stop's first and last bytes are at least this far apart, in ns, the screen shows both times. Otherwise it shows
+only the time of the last bytes."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 

@@ -94,7 +94,7 @@ class Hold:
         to repeat the key too late. This is known only after the second repeat, because until then the person may have
         tapped the key twice."""
         self._until_s = 0.0
-        """When the held key counts as released if the terminal sends no further repeat (same clock as `now_s`)."""
+        """The time at which the held key counts as released (same clock as `now_s`). Each repeat postpones it."""
         self._last = ("", 0.0)
         """The last motion key, and when it came."""
         self._late = False

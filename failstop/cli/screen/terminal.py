@@ -94,11 +94,11 @@ class Terminal:
             self.ended = self.ended or signal.SIGHUP
 
     def writable(self) -> bool:
-        """Return True if the terminal can take more bytes at once."""
+        """Return True if the terminal can take bytes now, without a delay."""
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
-        """Show these lines, as many as fit. Only changed lines are written. If the terminal can't take bytes at once,
+        """Show these lines, as many as fit. Only changed lines are written. If the terminal can't take bytes now,
         nothing is written."""
         if not self.writable():
             self._shown = None
