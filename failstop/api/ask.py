@@ -51,8 +51,8 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
     The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
-    If other programs keep writing requests, the pipe may never be empty. So a higher epoch than at the beginning of
-    this call also shows that a stop was written.
+    While other programs keep writing requests, the pipe may never be empty. But there is a second sign that a stop was
+    written: the epoch is higher than at the beginning of this call.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader

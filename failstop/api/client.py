@@ -35,8 +35,8 @@ next tick, before the previous command expires. This saves the 0.2 to 0.4 ms of 
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""How long the object given as the reason for a stop may take to make its own text, in seconds. A later text is not
-sent."""
+"""If a program gives an object as the reason for a stop, the object's `__str__` may take this long, in seconds. A text
+that comes later is not sent."""
 
 
 def runtime_dir(name: str) -> str:
@@ -97,8 +97,8 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 def _say_more(fd: int, why: object, who: str) -> None:
     """Send the own text of the object `why` in a second stop request, and wait for that at most OWN_WORDS_S. Another
-    thread makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is
-    closed at the end."""
+    thread makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe. It is closed
+    afterwards."""
     # Imported only here, because most reasons don't need it.
     from threading import Thread
 
@@ -129,8 +129,8 @@ def gone(name: str) -> NoService:
 
 
 class SeenRun:
-    """Shows whether one run of the service has ended, and what its settings declare. It is the run at the time when
-    this object is made. Not thread-safe.
+    """Belongs to the run of the service that is present when this object is made. It shows whether that run has ended,
+    and what its settings declare. Not thread-safe.
 
     The values in this object do not change during the run, because the supervisor writes all of them before clients can
     find the run (supervisor/entry.py).
@@ -159,8 +159,8 @@ class SeenRun:
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
     def run_record(self, record: str) -> tuple[int, dict[str, Any]]:
-        """Return when the supervisor wrote a record (CLOCK_MONOTONIC, ns), and what the record contains. Raises
-        FailstopError if the record is damaged."""
+        """Return (time, values): the time at which the supervisor wrote a record (CLOCK_MONOTONIC, ns), and the values
+        in that record. Raises FailstopError if the record is damaged."""
         entry = self.supervisor.latest_reader(record).read()
         if entry is None:
             raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")

@@ -24,8 +24,8 @@ SILENCE_S = 0.02
 gate acts when the timeout ends, but for an interlock it acts one period later."""
 OWN_LINE_S = 0.012
 """How much later than Hiwonder's board every other board gets a stop, in seconds. Another board's serial line or loop
-may be slower, or the stop may have to be repeated for it. A USB adapter that removes the gaps between frames adds 0.02
-(docs/boards.md)."""
+may be slower, or it may miss the first stop and get a repeat. Some boards drop frames that have no gap between them. If
+a USB adapter removes the gaps, such a board gets a stop about 0.02 s later still (docs/reference/measured.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
 """The text with which every screen shows the longest stopping distance."""

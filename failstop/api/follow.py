@@ -27,7 +27,8 @@ class Follower:
 
         self.name = name
         self.note = ""
-        """Why read() failed the last time. Empty if it has not failed yet."""
+        """Why read() failed the last time that it failed. A later success does not clear this text. Empty before the
+        first failure."""
         self.events: list[Event] = []
         """The newest events of the service's present run, at most 256, the oldest first."""
         self._robot = Robot(name)

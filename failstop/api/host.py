@@ -34,7 +34,7 @@ def start(name: str) -> str:
 
 
 def stop(device: str | None = None) -> str:
-    """Return the command that stops the board when no service is running, in backquotes."""
+    """Return the command, in backquotes, that stops the board while no service is running."""
     import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"

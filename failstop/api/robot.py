@@ -50,7 +50,7 @@ class Preempted:
     by: str
     """The name and pid of the program that drives."""
     source: str
-    """The source with the higher priority: the name of the source that the driving program uses."""
+    """The name of the source that the driving program uses. This source has a higher priority than yours."""
 
     def __bool__(self) -> bool:
         return False
@@ -177,7 +177,7 @@ class Calls(Session):
 
         People see `stop request: REASON (says it is CLIENT, pid N)`. The name is only a claim, because anyone may ask
         for a stop under any name. A reason longer than 180 bytes is cut. The reason may be any object, such as an
-        exception. The stop never waits for the object's `__str__`, so its text comes later, in the events.
+        exception. The stop never waits for the object's `__str__`, so the text from it comes later, in the events.
         """
         send_stop(self.name, reason, self.client_name)
 

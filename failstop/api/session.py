@@ -1,7 +1,7 @@
 """Session: a program's connection to one service, with the client slot and the requests.
 
-A call that takes time is a generator that yields whenever it must wait. Then the whole thread sleeps in Robot, but only
-the task in AsyncRobot.
+A call that takes time is a generator that yields whenever it must wait. During that wait, a call of Robot lets the
+whole thread sleep, but a call of AsyncRobot only its task.
 """
 
 from __future__ import annotations
@@ -137,9 +137,10 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot must disable motion when it ends, because it has enabled motion. If this program was
-        driving and now dies of an exception, the gate normally disables motion and reports which driver has died.
-        Raises FailstopError."""
+        """True if this Robot has enabled motion, and must disable it at its end. If this program has driven and now
+        dies of an exception, this is False, because then the gate disables motion and reports which driver has died.
+        But with the setting gate.driver_death = "stay" the gate does not disable motion, so this is True. Raises
+        FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False

@@ -126,9 +126,9 @@ class Scale:
     capped: str = ""
     """Says that speeds are capped, and how to end that. Empty once a person has confirmed board.per_rps."""
     wheels: float | None = None
-    """Measured wheel speed divided by commanded wheel speed. None if not known. It is known only if the board reports
-    speeds in a different unit than it takes commands, because otherwise a wrong scale would be the same in both and not
-    show."""
+    """Measured wheel speed divided by commanded wheel speed. None if not known. It can be known only if the board
+    reports speeds in a different unit than the one for commands. If both have the same unit, this ratio would not show
+    that the scale is wrong."""
     turn: float | None = None
     """The robot's turn rate as the gyro measures it, divided by the commanded turn rate. None if not known."""
     wrong: tuple[str, ...] = ()
@@ -163,7 +163,7 @@ class Stop:
     the stop."""
     observed_s: float | None
     """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if the wheels
-    were not seen moving even before the stop."""
+    were already seen still before the stop."""
     epoch: int = 0
     """The number of the epoch that began with this stop. A request for a stop is answered by the first stop whose epoch
     is higher than the epoch at the time of the request."""
@@ -473,8 +473,8 @@ class State:
     processes: dict[str, Process]
     """The processes by name."""
     starved: Starved | None
-    """Details if the machine was too busy to run a process of the service during the last ten minutes. None if it was
-    not."""
+    """The longest time for which the machine was too busy to run a process of the service. None if the machine has run
+    every process in time during the last ten minutes."""
     clients: tuple[Client, ...]
     """The programs that hold client slots."""
     sources: tuple[Source, ...]
@@ -525,8 +525,8 @@ class State:
     turning: Turning = Turning()
     """What is known about the wheels at present. It comes from observation, not from what was commanded."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is disabled. This time changes when motion is disabled
-    and enabled again, so you notice that even if it happens between two snapshots."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while motion is disabled. If motion is disabled and enabled
+    again between two snapshots, the second snapshot has a later time, so you notice it."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """For each servo, its load and its temperature in degrees C. The keys name the part that the servo turns, such as a
     wheel. The load is a signed share of the servo's largest load."""

@@ -182,7 +182,7 @@ class StateReader(SeenRun):
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """Return NOTHING_YET, with no operator present if the robot needs one."""
+        """Return NOTHING_YET. If the robot needs an operator, the result also says that no operator is present."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
@@ -237,7 +237,7 @@ class StateReader(SeenRun):
         )
 
     def _ages(self, now_ns: int) -> tuple[snapshot.Ages, int]:
-        """The ages of the newest readings, and when the battery was read."""
+        """The ages of the newest readings, and the time at which the battery was read (ns)."""
         read_ns = {}
         for record in ("battery", "imu", "odometry", "health"):
             entry = self._latest[record].read()
@@ -265,9 +265,9 @@ class StateReader(SeenRun):
         True if the supervisor is dead. Until the gate has published its first decision, motion counts as disabled since
         the start of the run. Raises FailstopError.
 
-        A stop counts even if the gate has not reacted to it yet, because the gate hangs or has just died. The port
-        owner accepts no frames from an older epoch, and the next gate starts with the latched stop. The death or the
-        silence of the supervisor also counts as a stop here, even while the gate still publishes its last decision.
+        A latched stop counts at once, also while the gate has not reacted to it. For example, the gate may hang, or may
+        have just died. The port owner accepts no frames from an older epoch, and the next gate starts with the latched
+        stop. The death or the silence of the supervisor also counts as a stop here, whatever the gate publishes.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop

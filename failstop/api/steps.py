@@ -33,8 +33,8 @@ REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"
-"""Ends the text of some steps, for a program that never pauses. If it was already commanding a velocity when motion was
-enabled, it can't drive until it is ended and started again."""
+"""The end of some steps' texts. It is there for a program that never pauses. If such a program was already commanding a
+velocity when motion was enabled, it can't drive until it is ended and started again."""
 LET_GO = "let go of the stick, then push it again"
 SENSOR = (
     "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
@@ -182,8 +182,8 @@ def line(state: State) -> str:
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
-    """The first step on the page, or to use the power switch if a stop may not have reached the board. Empty if no step
-    is needed."""
+    """The first step, as a sentence for the page. Empty if no step is needed. If a stop may not have reached the board,
+    the sentence is about the power switch, unless the first step has the purpose MEND or POWER."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state, events) and not sure:
@@ -197,7 +197,7 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
-    """The next steps after a reset or an enable was refused, in one line. Empty if the state shows no reason for a
-    refusal any more, because the only step left would be to repeat the refused request. `known`: True if an interlock
-    was the reason for the refusal, so the reader already knows which interlock."""
+    """The next steps after a reset or an enable was refused, in one line. Empty if the state no longer shows a
+    reason for a refusal; then people can simply repeat the request. `known`: True if an interlock was the reason for
+    the refusal, so the reader already knows which interlock."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

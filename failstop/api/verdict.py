@@ -34,7 +34,7 @@ NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """A text for each state of the connection to the board."""
 UNHEEDED_S = 0.5
-"""How long the board must report zero speed while motion is commanded to show that it does not obey, in s. A shorter
+"""If the board reports zero speed for this long, in s, although motion is commanded, it does not obey. A shorter
 time proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
 STALE_S = 0.5
 """The age after which a decision of the gate says nothing about the wheels any more, in s. The gate normally publishes
@@ -232,8 +232,9 @@ def unlatched(state: State, events: Sequence[Event]) -> Event | None:
 
 
 def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
-    """Return the state, in which wheels that were seen still only before they were stopped count as not seen. The IMU
-    judges a window of half a second, which must begin after the stop. `now_s`: Unix time."""
+    """Return the state without an observation that is too old to show that a stop has worked. If the wheels were seen
+    still only before they were stopped, `turning.does` is unknown in the result. The IMU judges a window of half a
+    second, and the whole window must be after the stop. `now_s`: Unix time."""
     known, stop, event = state.turning, state.last_stop, unlatched(state, events)
     told_s = event.t if event else stop.t if stop else None
     if known.does != "still" or told_s is None:
