@@ -38,7 +38,7 @@ ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
 LATCHED = "estop: "
-"""Begins the gate's reason why nothing moves if a stop is latched. The cause of that stop follows."""
+"""If a stop is latched, the gate's reason why nothing moves begins with this. The cause of that stop follows."""
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"

@@ -67,7 +67,7 @@ MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
 MOST_REPORTED = 4
-"""The most wheels on a board of the kind that reports which command it obeys."""
+"""The most wheels that a board can have if it reports which command it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -281,8 +281,8 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
 of the ping. For a motion frame, it is COMMANDED (failstop/board/handled.py), with the speeds that the board will
 report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""Proof that the board has handled everything that was written up to a certain time. The values are that time, and when
-the board's report that proves it arrived, both in ns."""
+"""Proof that the board has handled everything that was written up to a certain time. The values are that time, and the
+time at which the proof (an answer or a report of the board) arrived, both in ns."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
 0 if the burst could not be passed); and the packed cause."""
@@ -378,7 +378,8 @@ OF_SESSION: dict[str, Shape] = {
 }
 """The records that a client writes into its slot after HELLO. The first value of each is the client's session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
-"""A bus servo's answer: the servo, the question (board/servos.py), and the value; None if the servo did not answer."""
+"""A bus servo's answer. Its values are the servo, the question (board/servos.py), and the number that the servo sent
+(None if it did not answer)."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
 """A sample of the IMU: acceleration (m/s2) and then turn rate (rad/s), each x forward, y left, z up."""
 RATE_VARIANCE = 0.0012**2
@@ -394,8 +395,8 @@ ODOMETRY = Shape("<8dB6d")
 Then the standard deviation of the velocity: m/s for vx and vy, rad/s for wz. Then where the pose and the velocity come
 from, as an index of ODOMETRY_FROM. Last the covariance of the pose: xx, xy, x th, yy, y th, th th.
 
-The record's time is when the board last reported about the wheels. If the pose comes from commands, the record's time
-is when the record was written.
+The record's time is the time of the board's last report about the wheels. If the pose comes from commands, it is the
+time at which the record was written.
 """
 POSE_VARIANCE = 1e3
 """The variance that is published with a pose that comes from commands: m^2 for x and y, rad^2 for th. It is huge,
@@ -404,11 +405,11 @@ MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
 WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
-"""What is known about the wheels. Its values are an index of WHEELS_DO; an index of WHEELS_BY, the observer; True if
-the wheels still turn when the time that they have to come to rest (setting still.after_s) is over; how many wheels the
-board reports about; since when the wheels have been still or turning, and when the newest reading was taken (both in
-ns; 0: never). Then follow the measured speed of each wheel in turns per second, by wire id, and how many turns each has
-made (NaN: not reported)."""
+"""What is known about the wheels. Its values are what they do (an index of WHEELS_DO); the observer (an index of
+WHEELS_BY); True if they still turn although zero was commanded longer ago than the setting still.after_s; how many
+wheels the board reports about; the time since which they have been still or turning (ns; 0: not known); and the time of
+the newest reading (ns; 0: there was none). Then follow the measured speed of each wheel in turns per second, by wire
+id, and how many turns each has made (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
 """A reading of the wheels that is older than this, in ns, says nothing about the present."""
 BATTERY: Payload[int, int] = Payload("<IB")
@@ -429,8 +430,8 @@ by a frame for the board. The frame moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with the number `number`, such as PORT_OPEN, from the port owner's PORT record. If that
-    record is already about a newer port, this port is PORT_CLOSED."""
+    """Return the state (such as PORT_OPEN) of the port with the number `number`. `entry`: the port owner's PORT record.
+    If that record is already about a newer port, this port is PORT_CLOSED."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

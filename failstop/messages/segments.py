@@ -83,8 +83,8 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. If not, it
-    makes the same system call as glibc's shm_open(), because there is no wheel of posix-ipc for Python 3.14. Raises
+    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. Without
+    posix-ipc, of which there is no wheel for Python 3.14, it makes the same system call as glibc's shm_open(). Raises
     OSError."""
     try:
         import posix_ipc  # imported only here, so that processes that only attach don't load it
@@ -203,9 +203,9 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
     """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so the
-    header is not checked. Instead, the CRC of each record shows that the record belongs to this run, because it
-    includes the run's incarnation. If a client has removed the segment's name, the result is an empty segment, because
-    this one can't be opened."""
+    header is not checked. Instead, each record's CRC includes the run's incarnation, so it shows that the record
+    belongs to this run. If a client has removed the segment's name, the segment can't be opened. The result is then an
+    empty segment."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)

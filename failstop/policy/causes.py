@@ -48,8 +48,8 @@ _TELL = (
 _AGAIN = "if this is not the first time, look at what happened before it (`failstop events`)"
 _BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
-"""What people must do first if the stop may not have reached the wheels. This is possible for the causes that have a
-`doubt`."""
+"""What people must do first if the stop may not have reached the wheels. They read this only after a stop for a cause
+that has a `doubt`."""
 PORT_SHARED = "`failstop doctor` shows whether a login or another program takes the answers from the port"
 USE_THE_SWITCH = "use the POWER SWITCH"
 

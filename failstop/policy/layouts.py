@@ -20,8 +20,8 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""How many wheels each layout may have. A base has the largest number for which a frame of its board has enough speeds,
-but the smallest number if a user has described the board."""
+"""The numbers of wheels that each layout may have. A base has the largest of these numbers for which a frame of its
+board has enough speeds. If a user has described the board, the base has the smallest of them."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {

@@ -35,8 +35,8 @@ ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """What can acknowledge a stop, in words for people. The keys are the words of the board interface."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
 """The reason why a stop is not acknowledged although the board is connected. A board that answers no pings can
-acknowledge a stop only by reporting that its speed changes to zero. This text is for a stop before which the board did
-not report that it moves."""
+acknowledge a stop only by reporting that its speed changes to zero. If it already reported zero before the stop, there
+is no such change."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """What can observe the wheels, in words for people. The keys are the words of the board interface. If nothing observes
 the wheels, the text is NO_IMU."""
@@ -72,8 +72,8 @@ def heard_late(process: object) -> str:
 
 
 def observer(boards: str, *, imu: bool) -> str:
-    """What observes whether the wheels are at rest: `IMU` or `wheels`. `boards`: what the board interface names as the
-    observer. Empty if the board interface names the IMU, but the robot has no IMU."""
+    """What observes whether the wheels are at rest: `IMU` or `wheels`. Empty if the board interface names the IMU, but
+    the robot has no IMU. `boards`: the observer that the board interface names."""
     return boards if imu or boards != "IMU" else ""
 
 

@@ -24,7 +24,8 @@ SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
-    """Declare a setting whose value is a text. `allowed`: the words that are allowed; empty for any text."""
+    """Declare a setting whose value is a text. `allowed`: the words that are allowed. If there are none, any text
+    is allowed."""
     return Setting(key, default, "", None, None, doc, allowed)
 
 
