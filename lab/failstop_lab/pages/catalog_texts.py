@@ -179,8 +179,9 @@ TEXTS = {
     ),
     "device_back": (
         "The board's port is back: @FAILSTOP_PATH@",
-        "The first bytes on it were a stop. A latched stop stays latched. If the entry says that this may not be the\n"
-        "board, the stop proves nothing until the device answers: use the POWER SWITCH if the wheels turn.\n"
+        "The first bytes on it were a stop, unless the entry says that no stop could be written yet. A latched stop\n"
+        "stays latched. If the entry says that this may not be the board, the stop proves nothing until the device\n"
+        "answers. In both cases use the POWER SWITCH if the wheels turn.\n"
         "Next: failstop reset, then failstop enable, each with --name @FAILSTOP_NAME@",
     ),
     "restarted": (
