@@ -114,7 +114,8 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Begin again with quick pings, because another port was opened. Its board hears from `hears_ns` on. A ping may
+        """Begin again with quick pings, because another port was opened. `hears_ns`: the time from which its board can
+        receive bytes. A ping may
         have been lost with the previous port, so an answer from this board may seem to answer the lost ping."""
         self._quick = self._quick_first
         self.wait(hears_ns)

@@ -69,7 +69,7 @@ class BlackBox:
         """The socket to each running saver, by the saver's pid. When the supervisor shuts down its side of a socket,
         the saver stops waiting and copies the rings at once. The saver sends its report on the same socket."""
         self._for_dead_run = 0
-        """The pid of the saver that saves an earlier, dead run, while the saver waits until the current run is ready. 0
+        """The pid of the saver that will save what a dead, earlier run has left, as soon as the current run is ready. 0
         if no such saver waits."""
         self._sampled_ns = 0
 

@@ -219,7 +219,7 @@ class Described(Board):
 
 
 class SteeredBoard(SteeringMixin, Described):
-    """A board for a steered base that is described by a Wire."""
+    """A board with steered wheels. A Wire describes it."""
 
     __slots__ = ("_steering",)
 

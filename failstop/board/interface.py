@@ -175,8 +175,8 @@ class SteeringFrames:
         raise NotImplementedError
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
+        the bytes are."""
         raise NotImplementedError
 
 
@@ -278,7 +278,7 @@ class Board:
     def check_motion(self, frame: bytes, max_rps: float) -> str:
         """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check does
         not trust the encoder. It reads the form, the checksum, the ids and the speeds again, so a frame with a changed
-        bit is refused if its form reveals the change. Never raises on bytes."""
+        bit is refused if its form reveals the change. Never raises, whatever the bytes are."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:

@@ -31,8 +31,8 @@ class MotionLine:
         return (float(found[1]), float(found[2])) if found else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion line. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written as a motion line. Returns "" if they may be written. Never raises,
+        whatever the bytes are."""
         found = self.speeds(frame)
         if found is None:
             return "not a motion line"

@@ -153,8 +153,8 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """Return the parser and the module of a command. The command's help ends with EXAMPLES from the module, which is
-    one text, or a dict with a text for each command. Raises FailstopError if the command is not installed."""
+    """Return the parser and the module of a command. The help ends with the examples in the module's EXAMPLES, which is
+    a text, or a dict if one module serves several commands. Raises FailstopError if the command is not installed."""
     import argparse
 
     from failstop.cli import style

@@ -72,7 +72,7 @@ class Robot:
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
         """Return how long the robot has shown no sign of life, s. If all messages so far came from the broker's store,
-        this is computed from their newest date. If the robot's clock is ahead, the result may then be too small."""
+        this is computed from their newest date, so it is too small if the robot's clock is ahead."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s

@@ -120,8 +120,8 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
     """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo: the servo's id and
-    its aim. The aim is the last position of a trajectory, in pulses; with follow, the position that the client wants at
-    present, in pulses; with jog, the rate in pulses/s."""
+    its aim. In the mode follow, the aim is the position that the client wants at present, in pulses. In the mode jog,
+    it is a rate in pulses/s. Otherwise it is the last position of the trajectory, in pulses."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]

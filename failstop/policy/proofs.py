@@ -27,7 +27,8 @@ WAITS_FOR = {
 }
 """What motion is waiting for in each of the states NOT_CONNECTED, and why. The text can follow the words "wait for"."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
-"""This text follows the time at which a stop was written, if the device on the port may not be the board."""
+"""Says that the device on the port, to which a stop was written, is perhaps not the board. Texts append it to the time
+of the stop."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
 """Says that the bytes of a stop have not left the kernel, because the board accepts none. With the cdc_acm driver, for
 example, the kernel keeps them until the board accepts them."""

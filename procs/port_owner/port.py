@@ -155,7 +155,7 @@ class OpenPort:
         """Watch the port for its loss. While the kernel has not taken everything, also watch for room to write. Unless
         telemetry reads the board's bytes (`heard`), also watch for these bytes.
 
-        The bytes are watched with EDGE, although each read returns all of them. Without EDGE, the kernel looks for more
+        The bytes are watched with EDGE. Without EDGE, the kernel looks for more
         bytes at the next wait. To do this it needs a worker of ordinary priority, and this process sleeps until the
         worker is done (n_tty_poll). So on a busy machine, after each frame from the board, the port owner could not
         notice a stop until other processes let the worker run.

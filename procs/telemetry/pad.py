@@ -2,7 +2,7 @@
 and, if it is held for long, requests a reset. This file also has the buzzer's sounds. Pure.
 
 locked --MODE--> drive --MODE--> locked ...     two changes are at least the lockout time apart
-any --a latched stop, any other button--> locked     the mode stays locked while the stop is latched
+any --a latched stop, or a button that is not MODE--> locked     the mode stays locked while the stop is latched
 any --a pushed stick in frames that never change--> locked     a receiver may repeat the last frame of a lost pad
 """
 

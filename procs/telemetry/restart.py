@@ -28,7 +28,8 @@ FASTER = 1.5
 FADES = 0.98
 """The fastest turning that was seen is multiplied by this at each report, so that it is forgotten with time."""
 LEAST_FALL = 10.0
-"""If a counter falls by less than this, in its own unit, that is an ordinary move backward."""
+"""If a counter falls by less than this, in the counter's unit, the robot may just have moved backward. A larger fall
+may be a restart of the board."""
 CLOSE = 2.0
 
 COUNTERS = "its counters fell to zero"

@@ -145,8 +145,8 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare the motion since the last call. Returns True if `wrong` or `remarks` has become empty, or is no
-        longer empty.
+        """Compare the commanded with the measured motion since the last call. Returns True if there is now something in
+        `wrong` or `remarks` where nothing was, or the other way round.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
         `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.

@@ -27,9 +27,10 @@ SEEN_PAUSES = 20
 """How many pauses are measured at least, if the description gives no pause. The measurement also takes at least
 SEEN_FOR_NS. Until its end the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""After the measurement, a pause is silence if it is at least MEAN_PAUSES times as long as the mean pause and
-LONGEST_PAUSES times as long as the longest one. While the machine is held up, pauses look longer than they are. So the
-measurement is repeated, and a later measurement can shorten the limit, but not lengthen it."""
+"""First the board's usual pauses are measured. Later, a pause is silence if it is at least MEAN_PAUSES times as long as
+the mean pause and LONGEST_PAUSES times as long as the longest pause of this measurement. While the machine is held up,
+pauses look longer than they are. So the measurement is repeated, and a later measurement can shorten the limit, but not
+lengthen it."""
 NOISE_NS = 2_000_000_000
 """Unreadable bytes count as a sign of life for this long after the last readable report. A few garbled reports in a row
 are no silence."""

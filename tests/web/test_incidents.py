@@ -39,7 +39,7 @@ def test_what_was_not_ready_in_time_is_made_again_and_is_not_called_impossible(l
 
     async def ask() -> None:
         made = incidents.Incidents("robot")
-        made._command = command  # type: ignore[method-assign]
+        made._command = command  # type: ignore[assignment,method-assign]
         for _ in range(2):
             assert made.picture("one") is None
             assert made._making

@@ -158,8 +158,8 @@ class Motors:
         return tuple(found)
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises,
+        whatever the bytes are."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"

@@ -128,8 +128,8 @@ def speeds(frame: bytes) -> tuple[float, ...] | None:
 
 
 def check_motion(frame: bytes, limit: float) -> str:
-    """Say why these bytes must not be written as a motion packet. Returns "" if they may be written. Never raises on
-    bytes."""
+    """Say why these bytes must not be written as a motion packet. Returns "" if they may be written. Never raises,
+    whatever the bytes are."""
     found = speeds(frame)
     if found is None:
         return "not a whole packet of the wheels' speeds"

@@ -105,8 +105,8 @@ def marked(frame: bytes, turn: int) -> bytes:
 
 
 def check_motion(frame: bytes, limit: float) -> str:
-    """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
-    bytes."""
+    """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises,
+    whatever the bytes are."""
     found = _words(frame)
     if found is None:
         return "not a command frame"

@@ -104,7 +104,7 @@ def check_motion(frame: bytes, max_rps: float) -> str:
 
     It accepts only the 27-byte frame for all four wheels, with ids 0 to 3 in order and the right CRC. Every speed must
     be finite and within plus or minus max_rps (0 to RPS_CEILING turns per second, with an allowance for rounding to
-    float32). Never raises on bytes.
+    float32). Never raises, whatever the bytes are.
     """
     if len(frame) != _WHEELS4.size:
         return "not a motor frame"
@@ -160,8 +160,8 @@ def check_aux(frame: bytes) -> str:
     It accepts only a buzzer frame that has the right length and CRC, and that contains no start of a motor frame. It
     also refuses a frame that the zeros of the stop burst would complete if the frame were cut short. So an accepted
     frame moves nothing, even if it is cut short. All other functions of the board are refused, because the firmware's
-    handlers of other functions read lists past their end, and could change a wheel's set point. Never raises on bytes.
-    """
+    handlers of other functions read lists past their end, and could change a wheel's set point. Never raises, whatever
+    the bytes are."""
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"
     if crc8(frame[2:]):

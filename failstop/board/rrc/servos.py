@@ -129,7 +129,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
     """Say in a few words why these bytes must not be written as a frame for these bus servos. Returns "" if they may be
     written.
 
-    It accepts only frames that the functions of this module make. Never raises on bytes.
+    It accepts only frames that the functions of this module make. Never raises, whatever the bytes are.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD or frame[2] != BUS_SERVO:

@@ -51,8 +51,8 @@ class Steering(ServoSteering):
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
+        the bytes are."""
         if self.servo.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"

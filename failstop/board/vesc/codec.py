@@ -153,8 +153,8 @@ class Steering(ServoSteering):
         return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
+        the bytes are."""
         payload = frame[2:-3]
         if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
             return "not a steering frame"
@@ -205,8 +205,8 @@ class Motors:
         return tuple(found) if len(found) == self.wheels else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises on
-        bytes."""
+        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises,
+        whatever the bytes are."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"

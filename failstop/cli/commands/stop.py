@@ -236,7 +236,8 @@ def _end(target: Target, start_s: float) -> int:
 
 
 def _every_service(reason: str, who: str) -> int:
-    """Ask every running service to stop its robot. Returns 0 if every service has confirmed its stop, else 1."""
+    """Ask every running service to stop its robot. Returns 0 if every service has confirmed its stop and there is no
+    doubt about it, else 1."""
     from failstop.api import ask
 
     # First stop all of them, and then print, because printing may be delayed.
@@ -246,7 +247,7 @@ def _every_service(reason: str, who: str) -> int:
             standard.print_line(done)
         if problem:
             standard.say(problem)
-    return int(not all(done for done, _, _ in answers))
+    return int(not all(done and not doubt for done, _, doubt in answers))
 
 
 class Target:

@@ -49,7 +49,7 @@ class ServoReader:
         self._turn = 0
         self._idle = self._looked = 0
         self.look_ns = now_ns
-        """The time when the next question about moving joints may be asked."""
+        """The earliest time, in ns, for the next question about the joints that are moving."""
 
     def look(self, now_ns: int) -> list[Joint]:
         """Return the moving joints that must be asked for their positions now. Empty if it is too early to ask."""
