@@ -43,9 +43,9 @@ def facts_of(kind: str) -> Facts | None:
 def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = USUAL_CAN_ID) -> Wire:
     """Return the description of one of KINDS, or of your own board. Raises ValueError.
 
-    Set `tried` if the process that started this one has already tested your own board (own.py). Boards with several
-    descriptions need `speeds`, which is how many speeds a frame sets (0 means the usual number), and `can_id`, which is
-    the CAN id of the second motor. No other board's modules are imported."""
+    Set `tried` if the process that started this one has already tested your own board (own.py). `speeds` is how many
+    speeds a frame sets (0 means the usual number), and `can_id` is the CAN id of the second motor. Both matter only for
+    a kind that has several descriptions. No other board's modules are imported."""
     if is_own(kind):
         from failstop.board import own
 
@@ -59,8 +59,8 @@ def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = US
 
 def watchdog_of(kind: str) -> tuple[float, str]:
     """Return how many seconds after the last motion the board's own watchdog acts, and what it does (ZERO, COAST or
-    DISARM of wire.py). The time is 0 if the board has no watchdog. It is also 0 for your own board, because this
-    function does not load your board's folder."""
+    DISARM of wire.py). Returns (0, "") if the board has no watchdog, and always for your own board, because this
+    function does not load its folder."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog
@@ -100,8 +100,10 @@ def board_of(
 
 
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
-    """True if nobody has confirmed that the scale of `board` is right. A number that a person has only written into the
-    settings is not confirmed. A confirmed number counts only if it equals this scale."""
+    """True if the scale of `board` is not certain. It is certain if `confirmed_per_rps` equals it. It is also certain
+    if it is the usual scale, and either this is a fact about the board (Motion.scale_known) or the board's reports
+    would reveal an error (Reports.own_scale). A number that somebody has only written into the settings does not make
+    it certain."""
     if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
     usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)

@@ -46,7 +46,7 @@ class LineReader(Reader):
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
         """`samples` makes the samples of one line. If an incomplete line has more than `longest` bytes, only its last
-        bytes are kept."""
+        `longest` bytes are kept."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

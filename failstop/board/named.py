@@ -1,8 +1,8 @@
 """Named: opens a serial port whose path another user has named, with no more than that user's rights.
 
-A file that belongs to another user may name any path. It may be one of root's own devices, a device that reacts to
-being opened, or a file system that never answers. So root looks up the path with that user's rights, accepts only a
-terminal that this user may read and write, and then opens exactly this device. The device is opened as root, because
+A path from a file that belongs to another user may lead anywhere: to one of root's own devices, to a device that reacts
+to being opened, or to a file system that never answers. So root looks up the path with that user's rights, accepts only
+a terminal that this user may read and write, and then opens exactly this device. The device is opened as root, because
 only root can open a port that a service holds exclusively, and a stop must still be written to such a port.
 """
 

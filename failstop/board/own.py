@@ -1,13 +1,13 @@
 """Own: your own board. It is a folder with a module wire.py, which has the board's description: a Wire named WIRE.
 
-One line of wire.py says for which version of failstop/board/wire.py it was written (VOCABULARY). failstop reads this
-line before it runs the module. The modules of the folder import each other with a dot (`from . import codec`). They
-import failstop's modules as any other program does.
+The line `VOCABULARY = N` in this module says for which version of failstop/board/wire.py the description was written.
+failstop reads this line before it runs the module. The modules of the folder import each other with a dot (`from .
+import codec`). They import failstop's modules as any other program does.
 
-The modules may run as root, in every process of the service. So anyone who may write them may drive the robot.
+The modules may run as root, in every process of the service. So anyone who can change them can drive the robot.
 Therefore the folder, everything in it, and every folder and link on the way to it must belong to root or to the
-service's user, and nobody else may have the right to write there. Only source is imported, and it is read through the
-same descriptor that was checked.
+service's user, and nobody else may be able to change them. Only source is imported. Each source file is read through
+the same descriptor that was checked, so that nobody can exchange the file after the check.
 
 A description is a program, so it may hang or exit. Before it runs in this process, a child process loads it and calls
 its functions (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 OWN_PACKAGE = "failstop_own_board"
 """The package name under which Python imports the folder's modules."""
 SAYS = b"VOCABULARY = "
-"""The beginning of the line in wire.py that says for which vocabulary it was written."""
+"""How the line begins that says for which version of failstop/board/wire.py the description was written."""
 LIMIT_S = 5.0
 """How long it may take to load and test the modules of your own board, in s. For the boards that failstop describes
 itself, this takes 20 ms."""
@@ -99,7 +99,8 @@ def _load(folder: str, name: str, value: str) -> Any:
 
 
 def _check_vocabulary(folder: str, offered: str) -> None:
-    """Refuse a description that was written for another vocabulary. Raises OwnBoardError."""
+    """Refuse a description unless it was written for this version of failstop/board/wire.py, which is `offered`. Raises
+    OwnBoardError."""
     path = os.path.join(folder, "wire.py")
     lines = _source(path).splitlines()
     said = [
@@ -143,8 +144,8 @@ def _try(folder: str, name: str, value: str) -> None:
 
 
 def _judge(folder: str, name: str, value: str, writer: int) -> None:
-    """Load and test the description, as the child process. Its output is dropped, and none of its parent's exit
-    handlers run."""
+    """Load and test the description, and send the result to `writer`. This is all that the child process does. What the
+    description prints is dropped. The child ends without the exit handlers that it has inherited."""
     try:
         os.setsid()
         _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)
@@ -356,9 +357,9 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
-    """Refuse this file or folder if another user may change it. A parent folder into which anyone may
-    write, such as /tmp, is allowed if its sticky bit is set, because then only the owner of an entry can remove or
-    rename it. Raises OwnBoardError."""
+    """Refuse this file or folder if it belongs to another user. Also refuse it if others may write it, unless it is a
+    folder on the way (`on_the_way`) that has the sticky bit, such as /tmp. In such a folder, only the owner of an entry
+    can remove or rename that entry. Raises OwnBoardError."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
     folder = stat.S_ISDIR(found.st_mode)

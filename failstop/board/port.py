@@ -1,10 +1,10 @@
 """Opens the board's serial port: raw, at the board's baud rate, and with the modem lines set as the board needs them.
 
-pyserial is not used, because the port is opened in the supervisor's first 150 ms and in the stop tool. Measured with
-Python 3.11 on x86-64: `import serial` takes 1.9 ms and loads 8 modules, and this file takes 0.5 ms and loads 3.
-pyserial's Serial opens five descriptors, because it needs two pipes besides the port to cancel blocking calls. This
-file opens one. pyserial's `exclusive` is an flock, which only keeps out programs that ask for it. Listing ports is left
-to doctor, where that cost does not matter.
+pyserial is not used, because it is slow to import. The supervisor opens the port in its first 150 ms, and the stop tool
+must be fast too. Measured with Python 3.11 on x86-64: `import serial` takes 1.9 ms and loads 8 modules, and this file
+takes 0.5 ms and loads 3. pyserial's Serial opens five descriptors, because it needs two pipes besides the port to
+cancel blocking calls. This file opens one. pyserial's `exclusive` is an flock, which only keeps out programs that ask
+for it. In failstop, only doctor uses pyserial, to list the ports, because the cost does not matter there.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> i
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
     called. The board's USB chip forgets the baud rate when the USB bus is reset, for example when the computer sleeps,
     and the kernel's driver does not notice. So this function makes the driver send the baud rate to the chip again,
-    unless a service has the port. Only a character device is ever opened, and nothing is written. `named_by` is the
-    user whose file names this path: root opens it with no more than that user's rights.
+    unless a service has the port. Only a character device is ever opened, and nothing is written. If another user's
+    file names this path, `named_by` is that user's id, and root opens the path with no more than that user's rights.
+    Otherwise `named_by` is 0.
     """
     descriptor = -1
     try:
@@ -100,8 +101,8 @@ def _opened(path: str, named_by: int) -> int:
 
 
 def open_if_there(path: str, line: Port) -> int:
-    """Open a port exclusively, if it still exists. Returns -1 if it can't be opened. Never raises, and never looks up
-    users."""
+    """Open a port exclusively (see open_port). Returns -1 if it no longer exists or can't be opened. Never raises.
+    Unlike open_port(), this never looks up users to explain a failure, because looking up users may take long."""
     # A device exists before udev has given it to its group. Then the open would be refused. To explain a refusal,
     # open_port() looks up users, which may take long, and here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
@@ -130,8 +131,8 @@ def unsent_bytes(descriptor: int) -> int:
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port and reads the bytes that the board sends. Another program must not read them
-    then, because the service would miss them."""
+    """True while a service has the port and reads the bytes that the board sends. During this time no other program may
+    read these bytes, because the service would miss them."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -161,9 +162,9 @@ def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
     """Close the port's descriptor. Never raises. In the main thread this takes `within_s` at most, even if the port
     sends nothing.
 
-    The last close of a terminal waits until its bytes are sent (up to 30 s on cdc_acm), and every open waits for that
-    close. A signal ends this wait, so a timer sends one. A process that just exits would wait for the whole time,
-    because a process that is exiting gets no more signals.
+    When its last descriptor is closed, a terminal first sends the bytes that it still holds. This takes up to 30 s on
+    cdc_acm, and until then nobody can open it again. A signal ends this wait, so a timer sends signals. A process that
+    exits without this function would wait for the whole time, because a process that is exiting gets no more signals.
     """
     try:
         before = _signal.signal(_signal.SIGALRM, _interrupt)

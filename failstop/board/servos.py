@@ -26,8 +26,8 @@ LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 HELD_NS = 2_000_000
 """The longest time that a stop may have to wait for the servos' bus, in ns."""
 MOVE_NS = 870_000
-"""The longest time that the move of one servo takes on any board's bus, in ns. The move is a packet of ten bytes, sent
-at 115200 baud."""
+"""How long the command that moves one servo takes on the servos' bus at most, with any board, in ns. It is a packet of
+ten bytes, sent at 115200 baud."""
 SILENT_NS = 5_000_000
 """The longest time that any board waits for a servo's answer, in ns. A normal answer takes 1.2 ms."""
 MOST_MOVES = HELD_NS // MOVE_NS

@@ -1,8 +1,8 @@
-"""Sound: finds faults in the description of a board, by calling its functions before it may drive anything.
+"""Sound: tests the description of a board before the board may drive, by calling the functions of the description.
 
 A description is a program, and its faults would otherwise show only while wheels turn. For example, its check may let
-every frame pass, its stop may have no bytes, or its scale may be NaN. The tests change nothing, unless a function of
-the description does. own.py runs them in a child process, which may hang or die.
+every frame pass, its stop may have no bytes, or its scale may be NaN. The tests themselves change nothing, but a
+function of the description may change something, hang, or end its process. So own.py runs the tests in a child process.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _S = 1_000_000_000
 _WRITERS = 3
 """How many writers of stops there are: port owner, stopper and supervisor. Each writer has a row of repeats."""
 MOST_QUESTIONS = 4
-"""The most questions that a board may have. Each one needs a word in shared memory (layout.PINGS)."""
+"""How many questions a description may have at most. Each question needs a word in shared memory (layout.PINGS)."""
 _MOST_BYTES = 1024
 """The longest frame that is allowed, in bytes. This also limits the stop."""
 _MOST_FRAMES = 16

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 class SteeringMixin(Board):
     """Adds steering to a class of boards. Inherit from this class first, then from the board's class. A motion frame
-    then has two parts, the frame for the wheels and after it the frame for the steering. The frame for the wheels
-    always has the same length."""
+    then begins with the frame for the wheels, which always has the same length, and ends with the frame for the
+    steering."""
 
     __slots__ = ()
 

@@ -28,8 +28,8 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""How long burst() writes nothing after early_stop() has written a whole stop, in ns. Without this pause, the loop of
-the same process would write the same stop once more right after it."""
+"""For how long burst() writes nothing after early_stop() has written a whole stop, in ns. Otherwise the loop of the
+same process, which early_stop()'s thread wakes, would write the same stop again at once."""
 
 
 class StopPort:
@@ -42,8 +42,8 @@ class StopPort:
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
-        """The time when the line will have been silent for as long as the board needs, in ns. It counts only what this
-        process has written. 0 if the board needs no silence."""
+        """The time from which the line has been silent long enough for the board, in ns. What other processes have
+        written is not counted. 0 if the board needs no silence."""
         self._line_ns = 0
         """The earliest time for this process's next stop, in ns. 0 if a stop may be written at once. Until this time,
         the newest stop is still on the line, or the line must be silent after it, or early_stop() has just written it.
@@ -80,11 +80,11 @@ class StopPort:
     def burst(self) -> bool:
         """Write the stop burst now. Returns True if the kernel has taken all of it.
 
-        If the kernel has taken only a part of an earlier stop, the rest of that stop is written first. If it has taken
-        only a part of another frame, the rest of that frame is dropped, because a burst works after any cut. If the
-        rest is longer than one burst, it is dropped too. Otherwise stops would pile up at a port that takes nothing. If
-        a whole stop is still on the line, nothing is written, because on some boards a second stop without a gap
-        garbles both.
+        If a whole stop is still on the line, nothing is written, because on some boards a second stop without a gap
+        garbles both. If the kernel has not taken all of the last frame yet, the rest of this frame is dropped, because
+        a burst works after any cut. But if this frame was a stop, its rest is written before the new stop, unless the
+        rest is longer than one burst. A longer rest is dropped, because otherwise stops would pile up at a port that
+        takes nothing.
         """
         begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
@@ -158,8 +158,8 @@ class StopPort:
         return False
 
     def adopt(self, fd: int) -> None:
-        """Close the old descriptor at once and use another one, or none if `fd` is -1. If a descriptor stayed open
-        after a USB device dropped out, the device would come back with another number."""
+        """Use another descriptor, or none if `fd` is -1, and close the old one. If a descriptor of an unplugged USB
+        device stayed open, the device would come back with another number, such as ttyACM1 after ttyACM0."""
         with self._writing:
             old, self.fd = self.fd, fd
             self.lost = fd < 0

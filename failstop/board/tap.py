@@ -29,7 +29,7 @@ class Tap:
         self._pings = 0
         self._answers = Answers()
         self.reports: set[int] = set()
-        """The kinds of reports that came, other than answers to pings."""
+        """The kinds of reports that came, except HEARD_PONG (answers to pings) and HEARD_FIRMWARE."""
         self.firmware = ""
         """The name of the board's firmware, if the board reports that it is not the usual one."""
         self.missing: tuple[int, ...] = ()
@@ -37,8 +37,8 @@ class Tap:
         self.size = 0
         """How many bytes were received."""
         self._flow: set[int] = set()
-        """The pings that were answered before this object had asked them. Something else causes these answers, so they
-        don't prove that the board hears this object."""
+        """The pings whose answers came before this object had asked these pings. Something else has caused the answers,
+        so answers to these pings don't prove that the board hears this object."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """Return (time of reading in ns, kind, value) for each new report. Raises OSError if the device is gone."""
@@ -86,8 +86,8 @@ class Tap:
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Find the earliest ping to which this answer fits (see handled.py). Returns the time in ns at which this ping
-        was written, or 0 if the answer fits no ping."""
+        """Find the earliest ping that this answer may answer (see handled.py). Returns the time at which this ping was
+        written, in ns, or 0 if there is no such ping."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
@@ -104,8 +104,9 @@ class Tap:
 
     def zeros_ms(self, timeout_s: float) -> float | None:
         """Wait until a board without pings reports that its present command is zero. Returns how long that took, in ms,
-        or None if no such report came in time. The report proves little, because a board that hears nothing reports
-        zeros too. Raises OSError."""
+        or None if no such report came in time. A report within the first `echo_ns` of the board does not count, because
+        it may be about an older command. The report proves little, because a board that hears nothing reports zeros
+        too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:

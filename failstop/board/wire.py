@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from failstop.board.interface import ServoBus, SteeringFrames
 
 VOCABULARY = 1
-"""The version of this vocabulary. It goes up when a description that was valid before would be refused, or would mean
-something else."""
+"""The version of this vocabulary. A change of the vocabulary raises it if the change makes failstop refuse a
+description that was valid before, or gives such a description another meaning."""
 
 ZERO = "zero"
 """The value of Watchdog.does for a watchdog that brakes the wheels to rest."""
@@ -49,8 +49,8 @@ class Port(Data):
     dtr: bool
     rts: bool
     deaf_ns: int
-    """How long the board hears nothing after the port was opened, in ns, because opening the port may reset it. 0 if it
-    hears at once."""
+    """How long the board hears nothing after the port was opened, in ns. This may be long if opening the port resets
+    the board. 0 if the board hears at once."""
     opening: tuple[bytes, ...]
     """Frames to write as soon as the board hears, for example the one that sets the board's own watchdog."""
 
@@ -73,8 +73,8 @@ class Write(Data):
 
 
 class TimedStop(Data):
-    """How failstop stops the wheels: what it writes to the port, and when it repeats this. The bytes must stop the
-    wheels whatever state the board's receiver is in, at the latest when they are repeated."""
+    """How failstop stops the wheels: what it writes to the port, and when it repeats this. In every state of the
+    board's receiver, the bytes must stop the wheels: if not the first time, then when they are repeated."""
 
     writes: tuple[Write, ...]
     after_ns: int
@@ -84,8 +84,8 @@ class TimedStop(Data):
     the second for the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and goes
     on with the times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line.
     Some boards drop two stops that touch. For such a board, give each row different times, so that the next stops of
-    the two writers do not touch. The last repeats must then come later than 0.3 s, because after a stall an adapter
-    sends everything it has kept at once."""
+    the two writers do not touch. Also let each row go on for more than 0.3 s, because an adapter may stall for that
+    long, and then sends all the stops that it has kept without gaps."""
 
 
 class Pace(Data):
@@ -102,8 +102,8 @@ class Watchdog(Data):
     crashed or the cable was pulled."""
 
     after_ns: int
-    """How long after the last motion the watchdog acts on a board that has just started, in ns. failstop may then set
-    another time (set_ns). 0 means that the watchdog does not act until its time is set."""
+    """How long after the last motion the watchdog acts if nobody has set its time since the board started, in ns. 0
+    means that it does not act until its time is set (set_ns)."""
     does: str
     """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
@@ -131,7 +131,8 @@ class Motion(Data):
     """How speeds become motion frames. All these speeds are in the board's own unit."""
 
     wheels: int
-    """How many speeds a frame has: one (for a steered base), two (left and right), three or four."""
+    """How many speeds a frame has: two (left and right), three or four. Only the VESC of a steered base has one speed;
+    your own board can't."""
     unit: str
     limit: float
     """The largest speed that the board accepts."""
@@ -154,16 +155,18 @@ class Motion(Data):
     """A function (frame) that returns the speeds which a motion frame sets, or None for other bytes. It never raises on
     bytes."""
     marked: Callable[[bytes, int], bytes] | None = None
-    """A function (frame, turn) for a board that has no questions. When failstop sends the same motion again, this
-    returns the frame made a step or two slower, depending on the turn. Then the board's report of the command that it
-    obeys shows which of the frames it has received."""
+    """A function (frame, turn) for a board that has no questions. It marks a motion frame: depending on the turn, it
+    returns the frame unchanged or a few steps slower. So the frames differ even if failstop sends the same motion
+    again, and the board's report of the command that it obeys shows which of the frames it has received."""
     scale_known: bool = False
-    """True if `per_rps` is a fact about the board, the same for every robot. False if it depends on the robot's motors
-    and encoders. Then it is only a guess until somebody confirms it by turning a wheel (board.per_rps_confirmed)."""
+    """True if the board itself fixes the result of `per_rps`, so it is the same for every robot. False if it depends on
+    the robot's motors and encoders, so it is only a guess until somebody confirms it by turning a wheel
+    (board.per_rps_confirmed)."""
 
 
 class Sample:
-    """Something that the board reports. The kinds of samples below are the same for all boards."""
+    """Something that the board reports. The classes below are the kinds of samples, and they are the same for all
+    boards."""
 
 
 class Wheels(Sample, Data):
@@ -197,9 +200,9 @@ others do."""
 
 class Health(Sample, Data):
     """What servos report about themselves, a row for each servo: its id, its load, its temperature in degrees Celsius,
-    and what is wrong with it. The load is a share of the most that the servo can give, negative in the other direction.
-    A temperature of 0 means that it was not reported yet. The last value is a sum of bits such as SERVO_VOLTAGE, and
-    may be left out."""
+    and what is wrong with it. A load of 1 is the most that the servo can give, and the load is negative in the other
+    direction. A temperature of 0 means that the temperature was not reported yet. The last value is a sum of bits such
+    as SERVO_VOLTAGE, and may be left out."""
 
     rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 
@@ -263,10 +266,11 @@ class Commander(Data):
     remedy: str
     """A text for people: how to prevent such commands."""
     program: str = ""
-    """If this is a program on the robot's computer, a part of its command line, by which failstop finds the program.
-    Otherwise empty."""
+    """A part of the command line by which failstop finds this program among those that run on the robot's computer.
+    Empty if the commander is not such a program."""
     fix: str = ""
-    """The command that ends the program for good. Empty if nothing restarts the program when it is ended."""
+    """The command that ends the program and keeps it from starting again. Empty if it does not start again by
+    itself."""
 
 
 class Reports(Data):
@@ -281,17 +285,17 @@ class Reports(Data):
     """A function (per_rps, wheel diameter in m) that returns how much a position grows in one turn of its wheel. None
     if the board reports no positions."""
     wraps: float
-    """The size of the range in which positions wrap around, from minus half of it to plus half of it. 0 means that
-    positions never wrap."""
+    """The size of the range of the positions, which goes from minus half of this to plus half of this. Beyond one end,
+    positions go on from the other end. 0 means that positions never wrap around."""
     holds_speed: bool
     """True if the board measures the speed of each wheel and holds the commanded one. False if it only sets a voltage,
     so a wheel may turn faster downhill and slower uphill."""
     own_scale: bool
     """True if the board reports in a real-world unit, so its reports reveal a wrong setting board.per_rps. False if
-    commands and reports share that setting, so an error does not show."""
+    failstop uses this setting for both commands and reports, so that an error in it does not show."""
     position_step: float = 0.0
-    """Positions are rounded towards zero to a multiple of this number. 0 means that they are too fine for this to
-    matter."""
+    """The board rounds positions towards zero to a multiple of this number. 0 means that its positions are so fine that
+    this does not matter."""
 
 
 class Wire(Data):
@@ -310,7 +314,8 @@ class Wire(Data):
     """The proofs of a stop that the board can give: ANSWERED, ECHOED, OBSERVED. WRITTEN is not listed, because it needs
     nothing from the board."""
     ping_ns: int
-    """The longest time between two questions that the proofs allow, in ns. 0 means any time."""
+    """The longest time between two questions with which the board still gives its proofs of a stop in time, in ns. 0
+    means that any time will do."""
     echo_ns: int
     """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
     board makes no such reports."""
@@ -332,16 +337,16 @@ class Wire(Data):
     """A function (port) that makes the object which talks to an arm's servos on this port. None if the board has no
     arm."""
     steering: Callable[[SteeringServo], SteeringFrames] | None = None
-    """A function (servo of the settings) that makes the frames for the servo of a steered base. None if the board can't
-    turn a steering servo."""
+    """A function (steering servo from the settings) that returns an object which makes and checks the frames for this
+    servo. None if the board can't turn a steering servo."""
     aux: Callable[[bytes], str] | None = None
     """A function (frame) that checks an extra frame, for example one for a light. It returns why the frame must not be
-    written, or "" if it may be written. An extra frame must move nothing, even if it is cut off. It may delay the
-    board's next frame by at most 30 ms. With None, only motion, stops and questions are written."""
+    written, or "" if it may be written. An extra frame that it accepts must move nothing, even if the frame is cut
+    short, and may delay the next frame by 30 ms at most. None if the board gets no extra frames."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
-    """A function (all settings by their full keys) that returns what a driver program may write to the board at the
-    guard port (driver.py). Import that module inside the function, because no process of the service needs it. None if
-    nobody has described this for the board."""
+    """A function (all settings by their full keys) that returns an object which reads what a driver program writes to
+    the guard port (DriverLanguage in driver.py). Import the module with the class of this object inside the function,
+    because no process of the service needs it. None if nobody has described this for the board."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:
@@ -353,8 +358,8 @@ def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) ->
 
 
 def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
-    """Say why these speeds must not be commanded, for example because one exceeds `limit`. Returns "" if they may
-    be."""
+    """Say why these speeds must not be commanded, for example because one of them exceeds `limit`. Returns "" if they
+    may be commanded."""
     if not 0.0 <= limit <= most:
         return f"limit {limit}, must be 0 to {most:g}"
     names = ("left", "right") if len(speeds) == 2 else range(len(speeds))

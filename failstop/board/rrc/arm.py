@@ -22,10 +22,10 @@ class RrcArm(ServoBus):
 
     def stops(self, servos: Sequence[int]) -> bytes:
         """Return the frames that stop these servos. Always append them to the stop burst, and write both in one write.
-        Then the kernel takes the servos' frames only after it has taken the whole burst. In a write of their own, they
-        could follow a burst that was cut short. The board could then read them as the rest of a motor frame, with a
-        wheel's id and speed. If a servo's frame is itself cut short, the next burst makes the cut harmless, as for any
-        other frame."""
+        Then the kernel takes these frames only after it has taken the whole burst. If they had a write of their own,
+        the burst before them could be cut short. The board could then read their bytes as the rest of a motor frame,
+        and take some of them for a wheel's id and speed. If one of these frames is cut short, the next burst makes this
+        harmless, as for any other frame."""
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
@@ -59,5 +59,5 @@ class RrcArm(ServoBus):
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:
-        """Return how long the servos' own bus needs for the frame, in ns."""
+        """Return how long the servos' own bus needs for the frame at most, in ns."""
         return bus.held_ns(frame)

@@ -77,11 +77,11 @@ _SAID: dict[int, Callable[[bytes], list[Said]]] = {
 """For each kind of frame, the function that makes its reports. The function returns no reports if the frame makes no
 sense.
 
-A ping asks for the position of a PWM servo, and the answer names the servo, so it shows which ping it belongs to. If a
-client of failstop asks for the position of the same servo, the board gives the client's question the same answer.
-failstop counts the client's answer as an answer to the ping too, because it also proves that the board hears. This has
-two small errors. First, the client may have asked up to 0.1 ms before the ping, which is the time of a question on the
-wire. Second, the client's answer replaces an earlier answer if the supervisor has not read the earlier answer yet.
+A ping asks for the position of a PWM servo. Its answer names the servo, and so shows which ping it answers. If a client
+of failstop asks for the position of the same servo, the board's answer to the client looks the same. failstop counts
+this answer as an answer to the ping too, because it also proves that the board hears. This has two small errors. First,
+the client may have asked before the ping, by up to 0.1 ms, which a question takes on the wire. Second, the answer to
+the client replaces an earlier answer if the supervisor has not read the earlier answer yet.
 """
 
 
@@ -115,9 +115,9 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """The times at which each writer repeats its stop, in ns after its first stop. The writers may have the same times,
-    because this board accepts stops that follow each other without a gap. The supervisor repeats no stop, because the
-    stopper does."""
+    """The times at which the port owner, the stopper and the supervisor repeat their stops, in ns after the first stop
+    of each. Two of them may have the same times, because this board accepts stops that follow each other without a gap.
+    The supervisor repeats no stop, because the stopper repeats it."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]

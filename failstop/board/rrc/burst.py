@@ -9,11 +9,11 @@ up to 256 of the following bytes as this rest (firmware source). So the burst ha
   frame, which does nothing. If it waits for a length, they make the length 0. Stop frames would not be a safe filler,
   because `AA` could become a length of 170. As the rest of a cut motor frame, they could also give that frame an
   invalid wheel id.
-- 32 zeros complete any motor frame of this package that was cut, because at most 22 bytes of data and the CRC are
-  missing. The receiver then drops the frame because of its CRC. Zeros can only complete a frame whose CRC is zero at
-  the cut, and codec.motor_speeds makes no such motion frame.
-- The first STOP ends at byte 59 (0.6 ms). The receiver parses it in every state except one: inside a frame with more
-  than 31 bytes left.
+- 32 zeros are more than the rest of any motor frame of this package that was cut short, because at most 22 bytes of
+  data and the CRC are missing. The receiver then drops the frame because of its wrong CRC. The CRC would be right only
+  if it was zero at the cut, and codec.motor_speeds makes no motion frame for which this is possible.
+- The first STOP ends at byte 59 (0.6 ms). The receiver parses it in every state except one: inside a frame that lacks
+  more than 31 bytes of its data.
 - 257 zeros are more than the longest possible rest of a frame (255 bytes of data and the CRC). So a frame that began
   anywhere before them is over before the next STOP. This is true even of a frame that began with a garbled byte in the
   first STOP.

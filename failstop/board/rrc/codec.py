@@ -1,9 +1,9 @@
 """The frames for the wheels, the ping and the buzzer, and functions that check these frames before they are written.
 The frames for an arm are in servos.py.
 
-The board answers no motor frame, and its motor handler checks nothing (firmware source). Ids out of range make it write
-out of bounds, it does not compare the count with the length, and it accepts NaN as a speed. So every value is checked
-here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
+The board answers no motor frame, and its motor handler checks nothing (firmware source). The handler writes out of
+bounds if an id is out of range, does not compare the count with the length, and accepts NaN as a speed. So every value
+is checked here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
 """
 
 from __future__ import annotations
@@ -68,17 +68,17 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
 
 
 _FLOATS = (5, 10, 15, 20)
-"""Where the four speeds begin in the func, len and data of a four-wheel frame."""
+"""Where the four speeds begin in a four-wheel frame, counted from its func, which follows the head."""
 
 
 def _complete_free(body: bytes) -> bytes:
-    """Put head and CRC around func, len and data of a four-wheel frame. Wherever the frame is then cut short, the part
-    before the cut can't move a wheel.
+    """Return a four-wheel frame: the head, then `body` (func, len and data), then the CRC. Wherever this frame is cut
+    short, the part before the cut moves no wheel. To achieve this, a speed may be made slightly smaller.
 
-    Zeros leave a CRC of zero unchanged. So if a frame is cut where the CRC of its bytes so far is zero (once in 256
-    cuts), the zeros of the burst complete the frame, and the board executes it with the speeds sent so far. To prevent
-    that, this function searches the frame for a place with a CRC of zero. It makes the last speed before this place
-    smaller by one unit in the speed's last place. This changes the CRC, so the function then searches the frame again.
+    The CRC of the bytes so far is zero at one place in 256. If a frame were cut short at such a place, the zeros of the
+    stop burst would complete it, because zeros leave a CRC of zero unchanged. The board would then execute it with the
+    speeds sent so far. So this function looks for such a place, and makes the last speed before it smaller by one unit
+    in the last place. This changes the CRCs, so the function then starts again.
     """
     crc = 0
     for at, byte in enumerate(body):
@@ -136,11 +136,11 @@ def pwm_servo_read(servo: int) -> bytes:
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-    """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because
-    a buzzer that was once sent this value never stopped.
+    """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because it
+    once made a buzzer sound without end.
 
     If the frame were cut short, the zeros of the stop burst might complete it with an off time of 0. To prevent this,
-    the tone may be a few hertz lower, or a few hertz higher at the low end.
+    the tone may be made a few hertz lower, or a few hertz higher if it would otherwise be too low.
     """
     checks.integer("freq_hz", freq_hz, *_TONES)
     checks.integer("on_ms", on_ms, 1, 65_535)
@@ -157,11 +157,10 @@ def check_aux(frame: bytes) -> str:
     """Say in a few words why these bytes must not be written as a frame that is not motion. Returns "" if they may be
     written.
 
-    It accepts only a buzzer frame that has the right length and CRC, and that contains no start of a motor frame. It
-    also refuses a frame that the zeros of the stop burst would complete if the frame were cut short. So an accepted
-    frame moves nothing, even if it is cut short. All other functions of the board are refused, because the firmware's
-    handlers of other functions read lists past their end, and could change a wheel's set point. Never raises, whatever
-    the bytes are."""
+    A frame may be written only if it is a buzzer frame with the right length and CRC, does not contain the start of a
+    motor frame, and would not be completed by the zeros of the stop burst if it were cut short. Such a frame moves
+    nothing, even if it is cut short. Frames for anything but the buzzer are refused, because the firmware's handlers
+    for them read lists past their end, and could change a wheel's set point. Never raises, whatever the bytes are."""
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"
     if crc8(frame[2:]):

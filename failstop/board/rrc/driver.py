@@ -7,9 +7,10 @@ their speeds. The board's motor handler checks nothing. So a motor frame is refu
 count does not fit its length, if it names a motor that does not exist, or if a speed is not a finite number.
 
 A question without an answer would block the SDK forever. So every question for a servo is answered. If failstop itself
-has asked the board the same question about the same servo, the driver gets the board's newest answer. Otherwise the
-answer for a bus servo reports a failure, and the answer for a PWM servo reports 0, because it has no room for a
-failure. Both have their full length. Reports that the board sends unasked are passed on in whole frames.
+has asked the board the same question about the same servo, the driver gets the board's newest answer. Otherwise
+failstop makes an answer of the usual length: for a bus servo it reports a failure, and for a PWM servo the value 0,
+because a PWM servo's answer has no room for a failure. Reports that the board sends unasked are passed on in whole
+frames.
 
 Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
 """
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
-"""How long a driver waits for an answer, in ns. The SDK waits forever, so this time is so long that failstop never
-drops an answer."""
+"""For how long failstop assumes that a driver waits for an answer, in ns. In fact the SDK waits forever, so this time
+is so long that failstop never drops an answer."""
 _PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
@@ -60,13 +61,13 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """True after bytes that begin no frame were refused. While it is True, more such bytes cause no new refusal. It
-        becomes False after the next whole frame."""
+        """True if bytes that begin no frame were refused since the last whole frame. More such bytes then cause no new
+        refusal."""
         self._speeds = [0.0] * WHEELS
         """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()
         self._kept: dict[tuple[int, int, int], bytes] = {}
-        """The board's newest answer about a servo, by function, servo and question."""
+        """The board's newest answer to each question about each servo. The key is (function, servo, question)."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
         """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
@@ -178,8 +179,8 @@ class RrcDriver:
         ]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Return the board's reports for the driver, in whole frames. The answers to failstop's own questions are kept
-        and not returned."""
+        """Return those of the board's reports that are for the driver, in whole frames. The answers to failstop's own
+        questions are kept instead, for wrote()."""
         found: list[bytes] = []
         for func, data in self._decoder.feed(chunk):
             if func in _PASSED:

@@ -55,10 +55,10 @@ def seal(func: int, data: bytes) -> bytes:
 
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
-    """Find the first place where this frame must not be cut off, because zeros after the cut would complete it. Zeros
-    complete a frame if the CRC up to the cut is zero. More zeros leave the CRC zero, and the last zero passes as the
-    CRC. Returns how many bytes of data come before this place. Places with fewer than `least` bytes (1 or more) don't
-    count. Returns 0 if no cut is dangerous."""
+    """Find the first place in this frame where a cut would be dangerous, because zeros after the cut would complete the
+    frame. They do so if the CRC of the bytes before the cut is zero: it stays zero with every zero that follows, so the
+    last zero passes as the right CRC. Returns how many bytes of data come before the place, or 0 if no cut is
+    dangerous. Places with fewer than `least` bytes of data (1 or more) before them don't count."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

@@ -1,8 +1,8 @@
 """Frames to the bus servos of an arm, and a function that checks these frames before they are written.
 
 The firmware handles a servo's frame inside its receive task. So every later frame, even a stop, waits until the servos'
-own bus (115200 baud) has taken the servo's frame. That is why no frame may hold up the receiver for longer than
-HELD_NS. Only questions may hold it up longer, because failstop asks the servos nothing while a wheel may turn.
+own bus (115200 baud) has taken the servo's frame. Questions may hold up the receiver for longer than HELD_NS, because
+failstop asks the servos nothing while a wheel may turn. All other frames may hold it up for HELD_NS at most.
 
 A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
 and a long way is a stream of short moves.
@@ -73,9 +73,9 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
     """Return the frame that moves one or two bus servos. Each position is (id 1 to 253, position 0 to 1000). The move
     takes duration_ms, from 1 to longest_ms. Raises FrameError.
 
-    If the frame is cut short, the zeros of the stop burst may complete it. The last servo in it, or a servo with id 0,
-    would then move to a wrong position. To prevent this, the duration may be made a few milliseconds longer, or shorter
-    if longer is not allowed.
+    If the frame were cut short, the zeros of the stop burst might complete it. The last servo in the frame, or a servo
+    with the id 0, would then move to a wrong position. To prevent this, the duration may be made a few milliseconds
+    longer, or shorter if it would otherwise be more than longest_ms.
     """
     checks.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((checks.counted("moves", positions, 1, MOST_MOVES),))

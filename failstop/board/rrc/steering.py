@@ -2,8 +2,9 @@
 written.
 
 Steering counts as motion, so this frame is part of the same write as the motor frame before it, and the two are
-accepted or refused together. A stop has no steering frame, so it leaves the steered wheels at their angle. The frame
-for a bus servo holds up the board's receiver for MOVE_NS, so a stop right after it comes that much later.
+accepted or refused together. A stop has no steering frame, so it leaves the steered wheels at their angle. If the
+steering servo is a bus servo, its frame holds up the board's receiver for MOVE_NS, and so delays a stop that comes
+right after it.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
 PWM, BUS = "pwm", "bus"
 STEER = 3
 """The sub-command that moves one PWM servo. failstop does not use the sub-command that moves several PWM servos,
-because the firmware takes the pulse in that sub-command for the duration (firmware source)."""
+because there the firmware mistakes the pulse for the duration (firmware source)."""
 TAKES_MS = 20
-"""How long the servo may take for a move, in ms. This is also the time until the next steering frame."""
+"""How long the servo may take to turn to its new angle, in ms. The next steering frame follows after the same time."""
 LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
@@ -40,8 +41,8 @@ class Steering(ServoSteering):
         """Return the frame that steers to this angle, positive to the left. Raises FrameError for an angle larger than
         allowed.
 
-        If the frame were cut short, the zeros of the stop burst might complete it. So the servo's time may be made a
-        few milliseconds longer, until no cut of the frame can be completed in this way.
+        If the frame were cut short, the zeros of the stop burst might complete it. To prevent this, the time for the
+        move (TAKES_MS) may be made a few milliseconds longer.
         """
         pulses = self._pulses(angle_rad)
         if self.servo.kind == BUS:

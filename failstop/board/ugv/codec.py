@@ -38,19 +38,19 @@ motion after 1 ms."""
 
 REPORT = 1001
 ANSWERS = (139, 1002)
-"""The T of the board's answer to each question. A line that has a T but no other field does not count as an answer,
-because a device that just sends the question back would send such a line."""
+"""The T of the board's answers: 139 for SPEED_RATE, and 1002 for ATTITUDE. A line with no field but T is no answer,
+because a device that only sends back what it receives would send such a line."""
 LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
        134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
        141: "the gimbal (T:141)"}  # fmt: skip
-"""The commands for lights, gimbal and display, which move no wheel. Each has its T and a name for people."""
+"""The commands for lights, gimbal and display, which move no wheel: the T of each, with a name for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
 """How the T of each of these commands is written. If `133` were written plainly, a byte lost on the cable could turn it
 into T:13, which drives the wheels."""
 _AUX_BYTES = 128
 RADIO_OFF = b'{"T":3e2,"mode":0}\n'
-"""The line that makes the board ignore ESP-NOW radio. Anybody nearby could drive the robot by this radio."""
+"""The line that makes the board ignore ESP-NOW radio, by which anybody nearby could otherwise drive the robot."""
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
 """Part of the line that the ESP32's ROM prints at every reset, at the same baud rate, for example rst:0xf

@@ -5,9 +5,9 @@ T:1 sets the speeds of the wheels, and T:13 the speed and turn rate of the base.
 texts of numbers. T itself may be a text too, because the vendor's ROS 2 node sends it as a text. A line without T
 counts as T:0, the board's emergency stop. failstop makes it a plain stop, so an arm keeps its torque.
 
-The board acknowledges nothing, so a refused line needs no answer. The board's reports are passed on: T:1001 comes
-twenty times a second, or less often if the driver has asked for that. Answers to failstop's own questions are kept, and
-given to a driver that asks the same question.
+The board acknowledges nothing, so a refused line needs no answer. The board's reports are passed on. T:1001 comes
+twenty times a second, but is passed on less often or not at all if the driver has asked for that. Answers to failstop's
+own questions are kept, and given to a driver that asks the same question.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ _TRACK_M = 0.172
 """The track of the widest base that this firmware knows, in m. The firmware uses the track to turn T:13's turn rate Z
 into wheel speeds. The setting wheels.track_m may make it smaller, but not larger."""
 _LONGEST = 4096
-"""How many bytes of a line are kept. The board itself keeps any number, but no driver writes so many."""
+"""The longest line that is accepted from a driver, in bytes. The board itself has no limit, but no driver writes longer
+lines."""
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""How early a report (T:1001) may come and still be passed on to the driver, in ns. Only one report per interval is
-passed on, but the board does not send them at exact times."""
+"""How much too early a report (T:1001) may come and still be passed on, in ns, if the driver has asked for only one
+report per interval. The board does not send its reports at exact times."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
@@ -154,8 +155,8 @@ class UgvDriver:
         return [DriverRefusal(f"T:{kind}", why)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Return the board's reports for the driver, in whole lines. The answers to failstop's own questions are kept
-        and not returned."""
+        """Return those of the board's reports that are for the driver, in whole lines. The answers to failstop's own
+        questions are kept instead, for wrote()."""
         *lines, rest = (self._heard + chunk).split(b"\n")
         self._heard = rest[-codec.LONGEST_LINE :]
         return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
@@ -184,7 +185,8 @@ def _is_number(value: object) -> bool:
 
 
 def _float(value: object) -> float:
-    """Return the value as the board converts it. A text counts as the number in it, and anything else as 0."""
+    """Return the number for which the board takes a value. A text that spells a number counts as this number. Anything
+    that is neither a number nor such a text counts as 0."""
     if isinstance(value, bytes):
         try:
             value = lenient.number(value)

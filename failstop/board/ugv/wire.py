@@ -1,9 +1,8 @@
-"""The Wire that describes Waveshare's UGV. A line feed comes before each stop, and failstop sets the board's own
-watchdog each time it opens the port.
+"""The Wire that describes Waveshare's UGV. Each time failstop opens the port, it sets the board's own watchdog.
 
-The receiver keeps a line of any length until its line feed. So a stop may directly follow any other bytes, and needs no
-silence on the line before it. Motion lines feed the watchdog. The stop that is written again and again while the robot
-is stopped is a motion line too.
+A stop begins with a line feed, which ends any line that was cut short before it. So a stop may directly follow any
+other bytes, and needs no silence on the serial line before it. Motion lines feed the watchdog, and so does the stop
+that is written again and again while the robot is stopped.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A packet for
 a controller on the CAN goes to the controller at the port, which passes it on. The payload of such a packet begins with
 FORWARD and the CAN id, and the payload for the controller on the CAN follows. The frame for several motors has one
-packet for each, in one write. The motor at the port comes first. If nothing on the CAN takes a packet, that packet
-waits for up to 5 ms (comm_can.c), and the motor at the port must not wait for it.
+packet for each, in one write. The packet for the motor at the port comes first. Otherwise this motor would wait for up
+to 5 ms if nothing on the CAN took the other packet (comm_can.c).
 
 The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
 after that keeps the phases shorted. Three other commands could stop a motor, but they are worse (mcpwm_foc.c,
@@ -53,8 +53,8 @@ and get some of a controller's values."""
 LIMIT = 100_000.0
 """The highest speed to which a controller turns a motor by default, in ERPM (mcconf_default.h)."""
 LEAST = 900.0
-"""The lowest speed at which a controller turns a motor by default, in ERPM (MCCONF_S_PID_MIN_RPM). If it is sent a
-lower one, it brakes."""
+"""The lowest speed at which a controller turns a motor by default, in ERPM (MCCONF_S_PID_MIN_RPM). If a lower speed is
+commanded, the controller brakes."""
 STILL = 50
 """A reported speed below this, in ERPM, may be noise from a motor at rest. The tachometer shows whether the motor
 turns."""
@@ -65,21 +65,21 @@ MOST_PAYLOAD = 512
 PENDING = MOST_PAYLOAD + 6
 """How many more bytes of a packet a receiver may wait for, at most."""
 BURST = 130
-"""How many bytes a burst has. Each writer writes its burst four times, and four bursts are longer than PENDING. Three
-bursts take 34 ms on a serial line. So even after the bursts of three writers, there is time for a motion frame on the
-line before the writers repeat their bursts."""
+"""How many bytes a burst has. Each writer writes its burst four times, and four bursts are longer than PENDING. Bursts
+are not longer than they must be, because a motion frame that follows them waits until they have been sent: 11 ms per
+burst on a serial line."""
 LOCAL, BEHIND = 1, 2
 """The ids of the controllers in reports: LOCAL is the one at the port, and BEHIND is the one on its CAN."""
 MISSES = 2
 """The second controller counts as missing if it leaves this many questions in a row unanswered while the first
 controller answers. A question does not count if garbled bytes came after it, because they may have been the answer."""
 REPORT_EVERY = 20
-"""How often the temperatures are reported, in answers. This is about once a second."""
+"""The temperatures are reported once per this many answers, which is about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
 """The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each."""
 FIRST_US, WAY_US = 1000, 1000
-"""The shortest pulse of the servo output, and the difference between the longest and the shortest, in us
-(SERVO_OUT_PULSE_ of conf_general.h). The positions between them are sent in thousandths."""
+"""The shortest pulse of the servo output, and how much longer the longest pulse is, in us (SERVO_OUT_PULSE_ of
+conf_general.h). A position is sent in thousandths of the way from the shortest pulse to the longest."""
 _PLACE = Struct(">Bh")
 _SPEED = Struct(">Bi")
 _ASK = Struct(">BI")
@@ -88,12 +88,12 @@ _HEAT, _MOTOR_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (
 )
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
 MASKS = (_MASK, _HEAT | _MASK, _MOTOR_HEAT | _MASK, _HEAT | _MOTOR_HEAT | _MASK)
-"""Which values each question asks for. An answer repeats the mask of its question, so the two can be matched. Four
-different questions are better than two, because after answers were lost, failstop finds out sooner which question an
-answer belongs to. No byte of a mask may look like the head of a packet. If a question was cut short, the receiver could
-otherwise take this byte for a head, and wait for the rest of a packet that never comes."""
+"""The four questions, each as a mask of the values that it asks for. An answer repeats the mask of its question, so
+failstop can match the two. With only two different questions, it would take longer after lost answers to find out which
+question an answer belongs to. No byte of a mask may look like the head of a packet. Otherwise, after a question was cut
+short, the receiver could take this byte for a head, and wait for the rest of a packet that never comes."""
 _VALUES = {mask: Struct(f">BI{'h' * (mask & (_HEAT | _MOTOR_HEAT)).bit_count()}ihiBB") for mask in MASKS}
-"""The forms of the answers. They leave out the status at the end, because older firmware does not send it."""
+"""The form of the answer to each question, without the status at the end, which older firmware does not send."""
 _LONGEST = 128
 """Any packet that a controller sends to failstop, or to a driver at the guard port, is shorter than this, in bytes."""
 
@@ -142,8 +142,8 @@ def check_aux(frame: bytes) -> str:
 
 
 class Steering(ServoSteering):
-    """Makes and checks the frames for the steering servo at a controller. The settings give the servo's pulses in us,
-    and its whole range is 1000 to 2000 us."""
+    """Makes and checks the frames for the steering servo at a controller. The settings give the pulse for straight
+    ahead and the pulses per radian in us. All pulses must be 1000 to 2000 us long."""
 
     __slots__ = ()
 
@@ -231,16 +231,16 @@ class Values(Data):
 
 class Replies(Reader):
     """Decodes the controllers' answers. A question counts as answered when all controllers have answered it. The
-    controller at the port answers first. An answer of the second controller counts only if it belongs to the same
-    question."""
+    controller at the port answers first. An answer of the second controller counts only if it belongs to the question
+    that the first controller has just answered."""
 
     def __init__(self, other: bytes) -> None:
         """`other` is the CAN id of the second controller, as one byte. Empty if there is no second controller."""
         self._kept = b""
         self._other = other
         self._first: tuple[int, Values] | None = None
-        """The newest answer of the controller at the port, as (mask, values), while the second controller has not
-        answered yet. Otherwise None."""
+        """The answer of the controller at the port to which the answer of the second controller is still missing, as
+        (mask, values). None if there is no such answer."""
         self._misses = 0
         self._garbled = False
         """True if bytes that belong to no packet came since the last answer of the controller at the port. They may

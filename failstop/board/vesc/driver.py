@@ -3,8 +3,9 @@
 A driver sets speeds in ERPM and the position of the servo, and asks for the firmware's version and for values
 (RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
 port, and the answers are passed back to the driver. If a driver sets only a speed, the servo stays where the driver
-sent it before. A duty cycle or a current is refused unless it is zero, because failstop can't limit the speed that
-results from it. Bytes that are not a packet are skipped as the firmware skips them.
+sent it before. A brake current sets the motor's speed to zero, and so does a duty cycle or a current of zero. Any other
+duty cycle or current is refused, and the wheels stop, because failstop can't limit the speed that results from it.
+Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations

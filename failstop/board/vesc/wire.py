@@ -1,15 +1,15 @@
 """The Wire that describes one or two VESCs. The second controller is on the CAN of the first. Each controller has its
 own packets, and all of them go out in one write.
 
-Because one write has the packets for both controllers, a process can't die after it has stopped only one motor. The
-kernel may take only a part of a write. The rest then comes with the next burst, from the same process or from another
-one, and the receiver finds every whole packet that follows a cut one. One danger remains: a controller that hears
-nothing, for example because its CAN plug is out. The motor of such a controller is stopped by the controller's own
-timeout. Because such a controller does not answer, stops do not count as acknowledged, and motion can't be enabled.
+Because one write has the packets for both controllers, no process can die between two writes and leave one motor
+turning. If the kernel takes only a part of a write, the next burst of any process stops both motors, because the
+receiver finds every whole packet that follows a cut one. One danger remains: a controller that hears nothing, for
+example because its CAN plug is out. Only the controller's own timeout then stops its motor. Because this controller
+does not answer, stops do not count as acknowledged, and motion can't be enabled.
 
-A burst is a stop, zeros, and a second stop. If a length was garbled, the receiver waits for a packet that may be long.
-The four bursts of a writer are longer than any such packet. So a garbled length delays a stop by 0.14 s, but no stop is
-lost.
+A burst is a stop, zeros, and a second stop. If the length in a packet was garbled, the receiver may wait for a long
+packet. The four bursts of a writer are longer than any packet. So a garbled length delays a stop by 0.14 s at most, but
+no stop is lost.
 """
 
 from __future__ import annotations
