@@ -1,10 +1,10 @@
 """Capsules: finds out if the arm would hit itself, the chassis or the floor during a move. Pure. A stop never waits for
 this computation.
 
-The arm is modelled as a chain of capsules, which are cylinders with round ends, one after each joint. If all angles are
-zero, the chain points straight up from its mount. A joint turns the rest of the arm about the vertical (yaw), about a
-sideways axis (pitch), or about its own axis (roll). A joint may also turn nothing (none), as a gripper does. The
-chassis is one capsule along the robot. Lengths, radii and the mount come from the settings.
+A capsule is a cylinder with round ends. The arm is modelled as a chain of capsules, one after each joint. If all angles
+are zero, the chain points straight up from its mount. A joint turns the rest of the arm about the vertical (yaw), about
+a sideways axis (pitch), or about its own axis (roll). A gripper's joint turns nothing (none). The chassis is one
+capsule along the robot. Lengths, radii and the mount come from the settings.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""The most that a joint turns between two points at which the path of a move is checked, in rad. Between two such
-points, the tip of an arm with a reach of 0.1 m moves 5 mm, and with a reach of 0.3 m it moves 15 mm."""
+"""A move is checked at points of its path. From one point to the next, no joint turns further than this, in rad. Such a
+turn moves the tip of an arm with a reach of 0.1 m by 5 mm, and with a reach of 0.3 m by 15 mm."""
 
 
 class Model:
@@ -51,7 +51,8 @@ class Model:
 
     def nearest(self, angles: dict[str, float]) -> tuple[float, str, str]:
         """The smallest gap between two parts at these angles, in m, with the names of the two parts. A gap below 0
-        means that the two parts touch. A link is not compared with the next link, because the two are joined."""
+        means that the two parts touch. A link is not compared with the next link, because the two are joined. The first
+        link is not compared with the chassis and the floor either."""
         links = self.capsules(angles)
         found = (inf, "", "")
         for index, link in enumerate(links):
@@ -84,8 +85,8 @@ def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 
 def _held(part: float, whole: float) -> float:
-    """Divide, and limit the result to 0..1. If `whole` is 0, because the lines are parallel or a segment is a single
-    point, any value between 0 and 1 is right, so the result is 0."""
+    """Divide `part` by `whole`, and limit the result to 0..1. `whole` is 0 if the lines are parallel, or if a segment
+    is a single point. Any value between 0 and 1 is right then, and the result is 0."""
     return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 
@@ -104,9 +105,10 @@ def _on(begin: Point, way: Point, share: float) -> Point:
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
-    """Find the first collision if the arm moves from `start` to the angles of each row, one after the other. Between
-    two rows, every joint turns evenly. Returns after how many seconds the collision happens (0 if the row has no time)
-    and which two parts touch; None if no parts touch. Parts that touch already at the start may move apart."""
+    """Find the first collision of an arm that moves from `start` through the angles of all rows. From one row to the
+    next, every joint turns evenly. Returns the time until the collision in seconds (0 if the rows have no times), and
+    the names of the two parts. Returns None if there is no collision. It is no collision if parts touch at the start
+    and move apart."""
     at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
         end = {**at, **to}

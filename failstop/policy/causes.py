@@ -2,12 +2,13 @@
 cause, what clears it, and what people must do.
 
 A stop must not wait for its text. So the process that notices a cause sends only the row's number and the arguments
-(`pack`). The text (`str`) is made later, by the process that reports the cause. In the template of a text, a part in
-brackets is left out if the arguments in it are empty. A stop for any of these causes is latched.
+(`pack`). The text (`str`) is made later, by the process that reports the cause. The text comes from a template. A part
+of the template in brackets is left out if all arguments in this part are empty. A stop for any of these causes is
+latched.
 
 `what` is a clause that continues "stopped since ...". It can use the arguments, and also `role` (what the process does)
-and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder, for
-example for the ROS nodes that must be changed (see ADVISED).
+and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder (see
+ADVISED), for example for the names of ROS nodes.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ ARGUMENTS_BYTES = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Replaces a name that a program does not know yet when it asks for a stop, for example that of a ROS node. The program
-sends the request again when it knows the name."""
+"""Stands for a name, for example of a ROS node, in a stop request from a program that does not know the name yet. Once
+the program knows the name, it sends the request again."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
@@ -59,8 +60,8 @@ class Kind(Data):
 
     `number` is never used again for another row. `template` has its parameters in braces; none of them is called
     "name". `noticed_by` lists the processes that can notice the cause. If a stop for this cause may not reach the
-    wheels, `doubt` is a clause that is added to `what`. With a `doubt`, first() sends people to the power switch until
-    it is known that the stop has reached the wheels.
+    wheels, the row has a `doubt`, a clause that is added to `what`. first() then sends people to the power switch,
+    unless it is known that the stop has reached the wheels.
     """
 
     number: int
@@ -151,7 +152,7 @@ def unpack(payload: bytes) -> Cause:
 
 
 def filled(template: str, arguments: dict[str, Value]) -> str:
-    """Fill the arguments into a template. A part in brackets is left out if its arguments are empty."""
+    """Fill the arguments into a template. A part in brackets is left out if all arguments in it are empty."""
     parts = template.replace("]", "[").split("[")
     return "".join(
         part.format_map(arguments)
@@ -179,9 +180,9 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """Make the cause of a stop that a program has requested with this line in the stop pipe (made by records.asking).
-    Every local user may write to the pipe, and the reader can't see who wrote the line. So the program's name is only
-    its own claim."""
+    """Make the cause of a stop from a line in the stop pipe, with which a program has requested the stop.
+    records.asking() makes such lines. But every local user may write to the pipe, and the reader can't see who wrote a
+    line. So the program's name in the line may be false."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, rest = rest.partition("\t")
@@ -218,8 +219,8 @@ def remedied(cause: Cause, reached: str = "") -> str:
 
 
 def _to_remap(cause: Cause) -> str:
-    """If several ROS nodes publish on one topic, the names of the nodes that must be moved to another topic, so that
-    one node remains."""
+    """The names of the ROS nodes that must be moved to another topic, because several nodes publish on one topic and
+    only one may remain. If it is not clear which one, the text says "all but one of" them."""
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
@@ -234,20 +235,21 @@ def _to_remap(cause: Cause) -> str:
 ADVISED = {"others": _to_remap}
 """The placeholders that a remedy can contain, each with a function that returns the text to fill in."""
 BY = " (says it is "
-"""Comes between the reason and the program's name in the text of a requested stop."""
+"""The words between the reason and the program's name in the text of a requested stop."""
 
 
 def rival_of(who: str, other: str) -> str:
-    """Return how to name `other`, a client that disturbs the client `who`. Both are names with a pid. The result is
-    `other`, or SECOND_ROBOT if the pids are the same, because then the clients are two Robots in one program."""
+    """Return how to name the client `other`, which disturbs the client `who`. Each of these texts is a name and a pid.
+    If both have the same known pid, they are two Robots in one program, and the result is SECOND_ROBOT. Otherwise the
+    result is `other`."""
     pid = who.rpartition(" (pid ")[2]
     known = pid.endswith(")") and pid != "0)"  # 0: the client is in another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """True if `later` repeats the stop request `latched`, and has the name that was NOT_KNOWN there. This is so only
-    once for each latched cause, because after that no name is missing."""
+    """True if `later` repeats the stop request `latched`, and has the name for which `latched` has NOT_KNOWN. A cause
+    can be completed only once, because no name is missing afterwards."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -507,8 +509,8 @@ def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
 
 
 def refused(why: str, latched: Cause | None = None) -> Reply:
-    """Make an answer that refuses a request. `latched`: the cause of the latched stop, whose text follows the reason;
-    None if nothing is latched."""
+    """Make an answer that refuses a request. `latched`: the cause of the latched stop, whose text is added to `why`;
+    None if no stop is latched."""
     if latched is None:
         return Reply(records.REFUSED, why)
     return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)

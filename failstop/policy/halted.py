@@ -1,9 +1,9 @@
 """Halted: the sentence that a command prints about the wheels after it has tried to stop them. Pure.
 
-The sentence says that the wheels are stopped only if the wheels were observed to be at rest. If there is a reason to
-think that a wheel may still be turning, the sentence says so. For example, the stop was not written completely, or the
-board can confirm a stop but has not. If there is no such reason, but the wheels were not observed, the sentence says
-only what is known, for example that the board has confirmed the stop.
+If there is a reason to think that a wheel may still be turning, the sentence says so, for example if the stop was not
+written completely, or if the board can confirm a stop but has not. Otherwise, if the wheels were observed to be at
+rest, the sentence says that they are stopped. If they were not observed, it says only what is known, for example that
+the board has confirmed the stop.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ NOT_CONFIRMED = f"a stop was written to {{where}}, but the board did not confirm
 CONFIRMED = "the board has confirmed the stop"
 UNCONFIRMABLE = "a stop was written to {where}, but nothing can confirm it: check that no wheel turns"
 OF_CTRL_C = 130
-"""The exit code of a command that was ended with Ctrl-C and has stopped the wheels."""
+"""The exit code of a command that Ctrl-C has ended, if there is no reason to think that a wheel may still be
+turning."""
 
 
 class Halted(Data):
@@ -36,7 +37,8 @@ class Halted(Data):
     there: bool = True
     """True if the port exists."""
     why: str = ""
-    """Why no stop could be written. Empty if a stop was written, or if the reason is not known."""
+    """The error that kept the command from writing the stop, or from asking the board about it. Empty if there was no
+    error."""
     confirms: bool = False
     """True if this board can confirm a stop."""
     confirmed: bool = False
@@ -57,7 +59,7 @@ class Halted(Data):
         return self._row()[2].format(where=self.where, by=self.by, why=f" ({self.why})" if self.why else "")
 
     def interrupted(self) -> int:
-        """The exit code if Ctrl-C has ended the command: OF_CTRL_C, or 1 if a wheel may still be turning."""
+        """The exit code of a command that Ctrl-C has ended: 1 if a wheel may still be turning, otherwise OF_CTRL_C."""
         return OF_CTRL_C if self.safe else 1
 
     def _row(self) -> tuple[Callable[[Halted], bool], bool, str]:

@@ -1,8 +1,8 @@
 """Joints: the settings of each joint of the arm, and where the joint is. Pure.
 
-Positions are in pulses of the servo. Commanded positions have fractions, which are rounded only when a frame is made.
-Rounding each step of a move would spoil slow moves, because at 0.3 rad/s a step has only 2.9 pulses, and at lower
-speeds it may have less than one pulse.
+Positions are in pulses of the servo. A commanded position keeps its fraction, and is rounded only for the frame. If
+each step of a move were rounded, slow moves would be wrong: at 0.3 rad/s a joint moves only 2.9 pulses in a step, and
+at lower speeds perhaps less than one.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ class Joint:
         """The commanded position in pulses, with a fraction. It is valid only while `known` is True."""
         self.velocity = 0.0
         self.known = False
-        """True if `position` is where the joint is, because the servo's position was read and the joint has moved only
-        as commanded since then."""
+        """True if the joint is at `position`. This is so after the servo's position was read, for as long as the joint
+        moves only as commanded."""
         self.loaded: bool | None = None
-        """True if the torque is on, as far as is known. False if it is off. None if it is not known, because the torque
-        was neither read nor switched yet."""
+        """True if the torque was last read or switched as on, False if as off. None if it was neither read nor switched
+        yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
-        """The newest reading of the position, in pulses. A position counts as measured only if two readings in a row
-        are almost equal, so this reading waits for the next one."""
+        """The newest reading of the position, in pulses. It is compared with the next reading, because a position
+        counts as measured only if two readings in a row are almost equal."""
         self.misses = 0
         """How many questions in a row the servo has not answered."""
         self.temperature_c = self.supply_mv = 0
@@ -82,14 +82,14 @@ class Joint:
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """The values of this joint in the gate's state, which people and programs see."""
+        """What people and programs see of this joint: its values in the gate's state."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)
 
     def forget(self) -> None:
-        """Mark the position as unknown, because the joint was stopped or released while it moved. The position must
-        then be read again."""
+        """Mark the position as unknown, so that it is read again. Call this after the joint was stopped or released
+        during a move."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None

@@ -1,9 +1,9 @@
 """Kinematics of a wheeled base: converts the velocity of the body to wheel speeds and back, for each layout. Pure.
 
 The body's velocity is x forward, y left, wz counter-clockwise. Wheel speeds are in the order of the ids on the wire,
-and their sign depends on how each motor is mounted. Four wheels are numbered front left, rear left, front right, rear
-right; two wheels are numbered left, right. A wheel at rest has the speed +0.0, never -0.0, so that a frame of zeros has
-the same bytes as the stop frame.
+and their sign depends on how each motor is mounted. Four wheels are numbered in the order front left, rear left, front
+right, rear right, and two wheels in the order left, right. A wheel at rest has the speed +0.0, never -0.0, so that a
+frame of zeros has the same bytes as the stop frame.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ RimSpeeds = tuple[float, float, float]
 rim, in m/s."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""How fast a sideways motion turns the wheels, compared with a forward motion of the same speed. It does not turn FIXED
-wheels."""
+"""How fast wheels of this type turn in a sideways motion, compared with a forward motion of the same speed. FIXED
+wheels don't turn."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
@@ -31,7 +31,7 @@ AXES = {
     ACKERMANN: (1.0, 0.0, 1.0),
 }
 """For each layout, which of vx, vy and wz the base can follow: 1 if it can, 0 if not. The speed limit for each
-direction is multiplied by this factor, so the limit is 0 where the base can't move."""
+direction is multiplied by this number, so that it is 0 for a direction in which the base can't move."""
 
 
 LEAST_PIVOT = 1e-9
@@ -43,8 +43,8 @@ class Chassis:
 
     __slots__ = ("_back", "_rows", "axes", "rest")
     steers = False
-    """True if the last number in a frame of wheel speeds is not a speed, but the angle of the steered wheels (rad,
-    positive to the left)."""
+    """True if the last number in a frame of wheel speeds is not a speed, but the angle of the steered wheels in rad,
+    which is positive to the left."""
 
     def __init__(
         self,
@@ -67,12 +67,12 @@ class Chassis:
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
         """The factors that convert wheel speeds to the body's velocity. There are three rows, for vx (m/s), vy (m/s)
-        and wz (rad/s). Each row has one factor for each id on the wire, which multiplies the turns per second of that
-        wheel.
+        and wz (rad/s). A row has one factor for each id on the wire. To get vx, for example, multiply the turns per
+        second of each wheel by the factor for its id, and add the products.
 
         The resulting velocity fits all wheels best (least squares). Four mecanum wheels can turn at speeds that fit no
-        motion of the body, so some wheels slip. This slip is ignored. Raises ValueError if the wheels can't tell the
-        directions apart, for example if three omni wheels all roll the same way.
+        motion of the body, so some wheels slip. This slip is ignored. Raises ValueError if several velocities of the
+        body give the same wheel speeds, for example because three omni wheels all roll in the same direction.
         """
         if self._back is None:
             self._back = _least_squares(self._rows, self.axes)
@@ -80,7 +80,7 @@ class Chassis:
 
     def velocity(self, rps: Sequence[float]) -> Velocity:
         """The body's velocity (m/s, m/s, rad/s) at these wheel speeds, in turns per second by wire id. Raises
-        ValueError if the wheels can't tell the directions apart."""
+        ValueError if several velocities of the body give the same wheel speeds."""
         vx, vy, wz = [sum(map(mul, row, rps)) for row in self.rolled()]
         return vx, vy, wz
 
@@ -131,14 +131,14 @@ class Steered(Chassis):
 
     @property
     def turns_unseen(self) -> bool:
-        """True if the base has only one driven wheel, so that only the commanded steering angle shows how the base
-        turns."""
+        """True if the base has only one driven wheel. Its speed does not show how the base turns; only the commanded
+        steering angle does."""
         return len(self._rear.rest) == 1
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """The same factors as in Chassis.rolled(), for the driven rear wheels. With two rear wheels, the difference of
-        their speeds shows how the base turns, whatever the steering angle is. With one rear wheel, the turn is taken as
-        0."""
+        """The factors of Chassis.rolled() for the driven rear wheels. With two rear wheels, the difference of their
+        speeds shows how the base turns, whatever the steering angle is. One rear wheel does not show how the base
+        turns, so the factors for wz are 0."""
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
@@ -151,8 +151,8 @@ class Steered(Chassis):
 
 
 def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tuple[float, ...], ...]:
-    """The pseudo-inverse of the matrix `rows`, which has a row of three numbers for each wheel. Directions with a
-    factor of 0 in `axes` are left out."""
+    """The pseudo-inverse of the matrix `rows`, which has a row of three numbers for each wheel. For a direction with a
+    0 in `axes`, the result is 0."""
     used = [at for at in range(3) if axes[at]]
     # Gauss-Jordan elimination on the normal equations, with the wheels on the right side.
     table = [[sum(row[a] * row[b] for row in rows) for b in used] + [row[a] for row in rows] for a in used]
@@ -183,7 +183,7 @@ def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
 def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
     """The rim speeds of omni wheels around the middle of the base. Each wheel rolls in one direction, and its rollers
     let it slide at a right angle to that direction. `ways_deg`: the rolling direction of each wheel, in degrees
-    counter-clockwise from forward. If all wheels roll forward, the robot turns counter-clockwise."""
+    counter-clockwise from forward. If every wheel rolls in its own direction, the robot turns counter-clockwise."""
     # Rounded, so that a wheel that rolls at a right angle to the motion does not turn at all.
     return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
@@ -213,10 +213,10 @@ def from_settings(settings: Settings) -> Chassis:
 def of_wheels(
     base: Chassis, mounted: Sequence[tuple[int, int]], speeds_radps: Sequence[float], steering_rad: float | None = None
 ) -> Velocity:
-    """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers). Raises
-    ValueError. `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the
-    left. If you pass the steering angle, it determines how the base turns, and the rear wheels determine only the
-    forward speed."""
+    """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers).
+    `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the left. If you
+    pass this angle, it determines how the base turns, and the wheels determine only the forward speed. Raises
+    ValueError, for example if you pass this angle for a base without steered wheels."""
     rps = [0.0] * len(base.rest)
     for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
         rps[id_] = sign * speed / (2 * pi)

@@ -20,8 +20,8 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""The numbers of wheels that each layout may have. A base has the largest of these numbers for which a frame of its
-board has enough speeds. If a user has described the board, the base has the smallest of them."""
+"""The numbers of wheels that each layout may have. If a user has described the board, the base has the smallest of its
+layout's numbers. With any other board, it has the largest number for which a frame of the board has enough speeds."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {
@@ -118,8 +118,8 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
 the defaults for ackermann are those of ROSOrin. A board may replace them with its own (Facts.defaults,
 Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""The layout if the settings name none, by the number of speeds in a frame of the board. For every other number, it is
-the default of wheels.layout."""
+"""The layout of a robot whose settings name none. The keys are numbers of speeds in a frame of the board. For every
+other number, the default of wheels.layout is used."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -127,7 +127,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""The settings that exist only for some layouts, each with these layouts."""
+"""The settings that exist only for some of the layouts, each with those layouts."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:
@@ -144,8 +144,8 @@ def steers(kind: str) -> bool:
 
 
 def drivable(kind: str, speeds: int) -> list[str]:
-    """The layouts that this kind of board can drive. `speeds`: how many speeds are in a frame. This is needed only for
-    a board that a user has described."""
+    """The layouts that this kind of board can drive. `speeds`: how many speeds are in a frame. This argument counts
+    only for a board that a user has described."""
     return [
         name
         for name, counts in LAYOUTS.items()
@@ -167,8 +167,8 @@ def wheel_count(kind: str, layout: str) -> int:
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
-    """The id on the wire of each wheel's motor. `given`: settings as texts; a setting that is missing has its
-    default."""
+    """The id on the wire of each wheel's motor. `given`: settings as texts. A setting that is missing there counts with
+    its default."""
     found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]

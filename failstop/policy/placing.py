@@ -29,7 +29,7 @@ class FileLine(Data):
 
     @property
     def whole(self) -> str:
-        """The key of the setting as TOML reads it, which includes the table."""
+        """The key of the setting, together with its table, as TOML reads it."""
         return ".".join(filter(None, (self.table, self.name)))
 
 
@@ -53,8 +53,8 @@ def _bare(name: str) -> str:
 
 def meant(key: str, known: Callable[[str], bool]) -> str:
     """The setting that somebody probably meant by the unknown key `key`. For example, if `board.kind` is written below
-    [arm], TOML reads it as `arm.board.kind`, but `board.kind` was meant. Empty if `key` itself is a setting, or does
-    not end with a setting."""
+    [arm], TOML reads it as `arm.board.kind`, but `board.kind` was meant. Empty if `key` does not end with the key of a
+    setting, or is itself the key of a setting."""
     if known(key):
         return ""
     parts = key.split(".")
@@ -62,9 +62,9 @@ def meant(key: str, known: Callable[[str], bool]) -> str:
 
 
 def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
-    """The lines below the wrong [table], and where they belong, in words. Empty if there are no such lines. `keys`: the
-    whole key of every value that the file sets. `known`: a function that returns True if a setting with that key
-    exists."""
+    """Say in words which lines are below the wrong [table], and where they belong. Empty if there are no such lines.
+    `keys`: the whole key of every value that the file sets. `known`: a function that returns True if a setting with
+    that key exists."""
     lines = outline(text)
     tables = {line.table: line.number for line in reversed(lines) if not line.name}
     whole = {line.whole: line for line in lines if line.name}
@@ -86,8 +86,8 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """Return what is in the file twice, in words, if that is what the TOML parser's message `problem` is about.
-    Otherwise return an empty text."""
+    """Say in words what is in the file twice. `problem`: the message of the TOML parser. Empty if the message is about
+    something else, or if nothing was found twice."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

@@ -8,14 +8,14 @@ SUPERVISOR_PRIORITY = 30
 """The supervisor's real-time priority (SCHED_FIFO). A process with a higher priority runs first.
 
 The port owner has the highest priority, because every stop goes through it. The stopper, the gate and then the
-supervisor follow. The supervisor has the lowest priority of these. It is needed only after another process has died,
-and if the supervisor itself dies, the other three must be able to react at once.
+supervisor follow. The supervisor has the lowest priority of these four, because it is needed only after another process
+has died. If the supervisor itself dies, the other three must be able to react at once.
 """
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""How long the port owner may hang before the stopper stops the robot, in ns. The port owner and the supervisor also
-stop the robot if they themselves could not run for this long and the wheels may turn."""
+"""If the port owner hangs for this long, in ns, the stopper stops the robot. If the port owner or the supervisor
+notices that it could not run for this long itself, it stops the robot, provided that the wheels may turn."""
 
 
 class Process(Data):
@@ -70,4 +70,4 @@ PROCESSES = (
 
 PROCESS_BY_NAME = {row.name: row for row in PROCESSES}
 ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
-"""What each process does, as words that end a sentence."""
+"""What each process does, in words that can follow the process's name and "which"."""

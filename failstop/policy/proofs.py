@@ -18,8 +18,8 @@ LINKS_IN_WORDS = {
 }
 """The text for people about each state of the connection to the board."""
 NOT_CONNECTED = (LINK_DEAF, LINK_SILENT, LINK_UNHEARD)
-"""In these states of the connection, a stop may not reach the wheels, or failstop would not notice if the stop did not
-reach them."""
+"""The states of the connection in which a stop may not reach the wheels, or in which failstop could not tell whether it
+did."""
 WAITS_FOR = {
     LINK_DEAF: "the board, which does not hear",
     LINK_SILENT: "the board, which says nothing any more",
@@ -27,66 +27,64 @@ WAITS_FOR = {
 }
 """What motion is waiting for in each of the states NOT_CONNECTED, and why. The text can follow the words "wait for"."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
-"""Says that the device on the port, to which a stop was written, is perhaps not the board. Texts append it to the time
-of the stop."""
+"""Says that a stop was written to a device that is perhaps not the board. These words follow the time of the stop."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
 """Says that the bytes of a stop have not left the kernel, because the board accepts none. With the cdc_acm driver, for
 example, the kernel keeps them until the board accepts them."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
-"""What can acknowledge a stop, in words for people. The keys are the words of the board interface."""
+"""What can acknowledge a stop, in words for people. The keys are those of board/interface.py."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
 """The reason why a stop is not acknowledged although the board is connected. A board that answers no pings can
 acknowledge a stop only by reporting that its speed changes to zero. If it already reported zero before the stop, there
 is no such change."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
-"""What can observe the wheels, in words for people. The keys are the words of the board interface. If nothing observes
-the wheels, the text is NO_IMU."""
+"""What can observe the wheels, in words for people. The keys are those of board/interface.py. If nothing observes the
+wheels, the text is NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
-"""The text for a stop before which the observer saw no motion. In that case, the observer can't see the wheels come to
-rest. The keys are the observers."""
+"""The text if the observer saw no motion before a stop, and so can't see the wheels come to rest. The keys are the
+observers."""
 ALTHOUGH_TOLD_ZERO = {
     "wheels": "the wheels turn although they are told to stop",
     "IMU": "the robot moves, or is being moved, although its wheels are told to stop",
 }
-"""The text about wheels that keep turning after a stop for longer than is allowed. The keys are the observers."""
+"""The text if the wheels turn for longer after a stop than is allowed. The keys are the observers."""
 WATCHDOGS = {"zero": "it stops its wheels", "coast": "it lets its wheels coast", "disarm": "it disarms its motors"}
-"""What the board's own watchdog does, in words for people. The keys are the words of the board interface."""
+"""What the board's own watchdog does, in words for people. The keys are those of board/wire.py."""
 RESOLUTION_S = 0.2
 """How exactly the IMU shows when the wheels came to rest, in seconds."""
 WINDOW_NS = 500_000_000
 """The IMU's samples are judged in windows of this length, in ns. Each window gives one verdict: still or not."""
 LEAST_SAMPLES = 20
-"""A window with fewer samples than this is not judged, because the standard deviation of so few samples is too inexact.
-So an IMU needs at least 40 samples per second."""
+"""A window of 0.5 s with fewer samples than this is not judged, because the standard deviation of so few samples is too
+inexact. So an IMU must send at least 40 samples per second."""
 
 
 HEARD_LATE = " (heard once telemetry was back)"
-"""This text follows the time of an answer or report that telemetry received late, because telemetry had died or hung.
-The board may have answered, and the wheels may have stopped, before that time."""
+"""Follows the time of an answer or report if telemetry received it late, because telemetry had died or hung. The board
+may have answered, or the wheels may have stopped, before that time."""
 
 
 def heard_late(process: object) -> str:
-    """Return HEARD_LATE if the cause of a stop is about telemetry, because then an answer to the stop was received
-    late. Otherwise return an empty text. `process`: the process that the cause is about."""
+    """Return HEARD_LATE if `process` is telemetry, otherwise an empty text. `process`: the process that has caused a
+    stop, for example by its death. Without telemetry, an answer to the stop is received late."""
     return HEARD_LATE if process == "telemetry" else ""
 
 
 def observer(boards: str, *, imu: bool) -> str:
-    """What observes whether the wheels are at rest: `IMU` or `wheels`. Empty if the board interface names the IMU, but
-    the robot has no IMU. `boards`: the observer that the board interface names."""
+    """What observes whether the wheels are at rest: `boards`, which is the board's own observer, `IMU` or `wheels`.
+    Empty if that is the IMU, but the robot has none (`imu` is False)."""
     return boards if imu or boards != "IMU" else ""
 
 
 def still_after(seconds: float, less: str = "less than") -> str:
-    """How long it took until the wheels were still, as text. The text has no more digits than the measurement
-    justifies."""
+    """The time until the wheels were still, as a text with no more digits than the measurement justifies."""
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
 def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
-    """A text that follows the word "wheels", and says how long it took until the wheels were still. If `seconds` is 0,
-    the observer already saw no motion before the stop, and the text says that instead."""
+    """A text that follows the word "wheels". It says how long it took until the wheels were still. If `seconds` is 0,
+    the observer saw no motion even before the stop, and the text says so."""
     return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
 
 

@@ -34,7 +34,7 @@ def _steering(per_rad: float, sign: int | None, most_deg: float) -> Defaults:
 
 
 LEFT_BACKWARD = _signs(-1, -1, 1, 1)
-"""Signs for robots on which all motors are mounted the other way round than on ROSOrin."""
+"""The signs for robots with all motors mounted the other way round than ROSOrin's."""
 MENTORPI = _sizes(0.065, 0.1368, 0.1446) | LEFT_BACKWARD
 ROBOTS: dict[str, dict[str, Defaults]] = {
     USUAL_ROBOT: {
@@ -65,7 +65,7 @@ UNDRIVEN = {
 }
 """Robots of Hiwonder's RRC family that failstop can't drive, each with the reason."""
 LAYOUT_OF = {"jetacker": "ackermann"}
-"""The default layout of a robot that exists only with a layout other than mecanum."""
+"""The default layout of each robot that does not exist with mecanum wheels."""
 
 
 EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
@@ -73,7 +73,8 @@ EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Fill in the defaults of the robot that the settings name, for every setting that the user has not set. Raises
-    SettingError if failstop can't drive that robot, or if no source has a value, so that you must measure it."""
+    SettingError if failstop can't drive that robot, or if a default is None, so that you must measure the value and set
+    it."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
     if robot in UNDRIVEN:
         raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')

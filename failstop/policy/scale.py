@@ -1,11 +1,11 @@
-"""Scale: checks the setting board.per_rps, the scale of the wheels. It is the speed in the board's unit that means one
-turn of a wheel per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
+"""Scale: checks the setting board.per_rps, the scale of the wheels. This number is the speed, in the board's unit, at
+which a wheel makes one turn per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
 
 If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows that the scale is wrong,
 because commands and reports use the same wrong scale, so they always agree. Only a person who looks at the wheel can
 tell. So the robot drives slowly until a person has watched a wheel turn; it is not enough to write the number into the
-settings. If the board reports in a different unit than the one for commands, or if a gyro measures how the robot turns,
-failstop also compares the measured speeds with the commanded speeds.
+settings. In two cases, failstop also compares the measured speeds with the commanded speeds: if the board uses one unit
+for commands and another for reports, or if a gyro measures how the robot turns.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
 PER_RPS_CONFIRMED = "board.per_rps_confirmed"
-"""The setting with the number that a person has confirmed. The confirmation counts only if the setting PER_RPS has the
-same number."""
+"""The setting with the scale that a person has confirmed. The confirmation counts only if board.per_rps has the same
+number."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
 """The highest speeds that are allowed while the scale is not confirmed. They are so low because the scale may be wrong.
-Even if it is five times too large, the robot drives no faster than 0.25 m/s, the reduced speed at which people may work
-beside a machine (ISO 10218-1)."""
+Even if the scale is five times too large, the robot drives no faster than 0.25 m/s, the reduced speed at which people
+may work beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""The largest allowed factor between the measured and the commanded speed of a wheel, in either direction. True is for
-a board that holds the commanded speed, and False for one that only sets a voltage. With a constant voltage, the wheels
-turn faster downhill and slower under load."""
+"""By what factor the measured speed of a wheel may be above or below the commanded speed. The key is True for a board
+that holds the commanded speed. It is False for a board that only sets a voltage, because its wheels turn faster
+downhill and slower under load."""
 GYRO_FITS = (1 / 1.6, 1.25)
 """The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
 below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""
 FITS = 1.25
-"""The factor between a measured and a commanded speed above which people get a remark. The robot may still be healthy,
-because a slope, for example, can cause such a difference."""
+"""If a measured speed is above or below the commanded speed by more than this factor, people get a remark. Nothing need
+be wrong then, because a slope, for example, can cause such a difference."""
 ON_A_STAND = 0.1
-"""The share of the commanded turn rate below which the gyro says nothing about the scale, because the robot is probably
-on a stand, or somebody holds it."""
+"""If the gyro measures less than this share of the commanded turn rate, it says nothing about the scale, because the
+robot is probably on a stand, or somebody holds it."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:
@@ -63,18 +63,19 @@ def near(ratio: float, factor: float) -> bool:
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """A text for people if the wheels turn at `ratio` times the commanded speed, and this is so far off that
-    board.per_rps must be wrong. The text names the value of board.per_rps that would fit. Empty if the difference is
-    small enough to have a harmless reason, such as a slope. `per_rps`: the present value, in the board's unit."""
+    """A text for people if the wheels' measured speed differs so much from the commanded speed that board.per_rps must
+    be wrong. The text names the value of board.per_rps that would fit. Empty if the difference may have a harmless
+    reason, such as a slope. `ratio`: measured divided by commanded. `per_rps`: the present value, in the board's
+    unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """A remark for people if the wheels turn at `ratio` times the commanded speed. The remark says that the difference
-    may have a harmless reason, such as a slope. Empty if the difference is small. `per_rps`: the present value, in the
-    board's unit."""
+    """A remark for people if the wheels' measured speed differs from the commanded speed. The remark says that the
+    difference may have a harmless reason, such as a slope. Empty if the difference is small. `ratio`: measured divided
+    by commanded. `per_rps`: the present value, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -86,9 +87,9 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """A text for people if the gyro shows that the robot turns `ratio` times as fast as commanded, and this is so far
-    off that a setting is probably wrong. The text names the settings to check. Empty if the difference is small enough
-    for tracks or skidding wheels, or if the robot hardly turns at all (see ON_A_STAND)."""
+    """A text for people if the turn rate that the gyro measures differs so much from the commanded one that a setting
+    is probably wrong. The text names the settings to check. Empty if the difference may come from tracks or skidding
+    wheels, or if the robot hardly turns at all (see ON_A_STAND). `ratio`: measured divided by commanded."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -96,9 +97,9 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """A remark for people if the gyro shows that the robot turns `ratio` times as fast as commanded. The remark says
-    that tracks or skidding wheels may be the reason. Empty if the difference is small, or if the robot hardly turns at
-    all (see ON_A_STAND)."""
+    """A remark for people if the turn rate that the gyro measures differs from the commanded one. The remark says that
+    tracks or skidding wheels may be the reason. Empty if the difference is small, or if the robot hardly turns at all
+    (see ON_A_STAND). `ratio`: measured divided by commanded."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"

@@ -24,8 +24,8 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The ids of the servos on the bus that turn the wheels. On boards whose motor controllers report their own load
-    and temperature, the result has the ids of these controllers instead. Empty on every other board."""
+    """If the board's motor controllers report their own load and temperature, the ids of these controllers. Otherwise
+    the ids of the servos on the bus that turn the wheels. Empty if neither exists."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]
@@ -33,7 +33,7 @@ def _wheels(settings: Settings) -> tuple[int, ...]:
 
 
 def turn_wheels(settings: Settings) -> bool:
-    """True if servos on the bus turn the wheels."""
+    """True if servos on the bus turn the wheels, or motor controllers that report their own load and temperature."""
     return bool(_wheels(settings))
 
 
@@ -69,14 +69,15 @@ def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """The first wheel, such as `rear wheel (servo 8)`, whose servo does not answer while another wheel's does. Empty if
-    there is no such wheel."""
+    """The first wheel whose servo does not answer although another wheel's servo does, for example `rear wheel (servo
+    8)`. Empty if there is no such wheel."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """What motion must wait for if a wheel's servo does not answer, as a text. Empty if all servos answer."""
+    """What motion must wait for if the servo of one wheel does not answer, as a text. Empty if missing_wheel() finds no
+    such wheel."""
     wheel = missing_wheel(rows, settings)
     return f"the {wheel}, which does not answer" if wheel else ""
 

@@ -40,7 +40,7 @@ class Setting(Data):
     """The declaration of one setting.
 
     A number has a range (both ends are allowed) or a list of allowed values. A text may have a list of allowed words,
-    and may also allow the path of a folder. A text may be empty if its default is empty.
+    and may allow the path of a folder besides them. A text without such a list may be empty if its default is empty.
     """
 
     key: str
@@ -53,8 +53,8 @@ class Setting(Data):
     or_folder: bool = False
 
     def check(self, value: object, key: str = "") -> float | str:
-        """Return the value in the type of this setting. Raises SettingError if it is not allowed, with `key` as the
-        name of the setting (by default its own key)."""
+        """Check a value, and return it in the type of this setting. Raises SettingError if the value is not allowed.
+        `key`: the name of the setting in the error's message, by default the setting's own key."""
         if problem := self._problem(value):
             raise SettingError(f"{key or self.key} = {shown(value)}: {problem}")
         return type(self.default)(value)  # type: ignore[arg-type]

@@ -332,7 +332,7 @@ MOST_OF_A_FAMILY = 8
 LONGEST_NAME = 16
 NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 FIRST_SOURCE = "cmd_vel"
-"""The source that a command belongs to if the program names no source."""
+"""The source of every command for which the program names no source."""
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
@@ -357,9 +357,10 @@ class Settings:
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Check the changed values, and fill in the defaults of all others. Raises SettingError, whose message lists
-        the unknown keys, wrong types and values out of range. It lists at most MOST_TOLD of them, and says how many
-        more there are. If there are no such mistakes, the message names values that contradict each other.
+        """Check the values in `changed`, and fill in the defaults of all other settings. Raises SettingError, whose
+        message lists the unknown keys, wrong types and values out of range. It lists at most MOST_TOLD of them, and
+        says how many more there are. If there are no such mistakes, the message names values that contradict each
+        other.
 
         `changed` has the values by key. If a value is an empty dict, it declares a table without settings of its own,
         for example a source that uses only the defaults.
@@ -409,7 +410,8 @@ class Settings:
             table[last] = declaration(key).check(value, key)
 
     def _fill_named(self) -> None:
-        """Fill in the defaults in the named tables, in the order in which their settings are declared."""
+        """Fill in the defaults in the named tables. Afterwards the settings of each table are in the order of their
+        declarations."""
         facts = facts_of(self.text("board.kind"))
         joints = facts.arm.joint if facts and facts.arm else {}
         for family, tables in self.named.items():
@@ -487,8 +489,8 @@ class Settings:
         return dict(sorted(found.items(), key=lambda source: -source[1][0]))
 
     def interlocks(self) -> dict[str, tuple[int, str]]:
-        """The interlocks by name, each with its timeout in ns, and with the text that people get if enable is refused
-        because of this interlock."""
+        """The interlocks by name, each with its timeout in ns and its refusal. The refusal is the text that people get
+        if they can't enable motion because of this interlock."""
         return {
             name: (round(float(own["timeout_s"]) * 1e9), str(own["refusal"]) or f"interlock {name} is not satisfied")
             for name, own in self.named["interlocks"].items()
@@ -565,8 +567,8 @@ def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFac
 
 
 def declaration(key: str) -> Setting:
-    """The declaration of the setting with this key. The key may also be in a named table, for example
-    sources.NAME.priority. Raises SettingError if no such setting exists."""
+    """The declaration of the setting with this key. The setting may be in a named table, as sources.NAME.priority is.
+    Raises SettingError if no such setting exists."""
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
@@ -577,8 +579,7 @@ def declaration(key: str) -> Setting:
 
 
 def is_setting(key: str) -> bool:
-    """True if a setting with this full key exists. The key may also be in a named table, for example
-    sources.NAME.priority."""
+    """True if a setting with this full key exists. The setting may be in a named table, as sources.NAME.priority is."""
     family, _, rest = key.partition(".")
     return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
 
