@@ -39,8 +39,8 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """Find out the board, as the second step of the setup. Returns the board's kind, and the settings in which this
-    board differs from the defaults. Raises Left."""
+    """Find out which board it is. This is the second step of the setup. Returns the kind of the board, and those of its
+    settings that differ from the defaults (baud rate, CAN id). Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:

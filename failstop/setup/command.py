@@ -50,11 +50,10 @@ QUESTIONS = {
     "file": "where to write the settings",
     "replace": "replace: overwrite the file if it exists (a copy of the old file is kept)",
 }
-"""The setup's questions. For each key, the help text of the command-line option that answers the question."""
+"""The keys of the setup's questions, each with the help text of the command-line option that answers the question."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
-"""What to do after a stand test that did not pass, for some of the verdicts. For all other verdicts, ROWS_SAY is
-shown."""
+"""What to do after a stand test that did not pass, by its verdict. For every other verdict, ROWS_SAY is shown."""
 UNMOVED = "no wheel was turned"
 NOTHING = "no settings were written"
 
@@ -130,8 +129,8 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
 
 
 def _resume(talk: Talk) -> None:
-    """If an earlier setup was left early, show its answers and ask whether to continue with them. If not, delete
-    them."""
+    """If an earlier setup was left early, show its answers, and ask whether to continue with them. If the person says
+    no, delete them."""
     answers = talk.draft.answers
     if not answers:
         return
@@ -150,8 +149,8 @@ def layouts_of(kind: str) -> list[str]:
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """Ask the person which model of robot has this board. Returns the model's name, the settings that are known for the
-    model, and True if the model's sizes are known."""
+    """Ask the person which robot it is. `kind`: the kind of its board. If setup does not know the robot, ask for its
+    layout. Returns the robot's name, its known settings, and True if its sizes are among them."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER

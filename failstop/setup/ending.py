@@ -64,8 +64,9 @@ def noted() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def arrivals() -> Iterator[int]:
-    """Yields a descriptor that becomes readable when a signal arrives. Wait on it together with your input. A plain
-    read() can miss a signal that arrives just before it: the signal's handler then runs only when the read returns."""
+    """Within this context, the yielded descriptor becomes readable when a signal arrives. Wait for it together with
+    your input. With a plain read() of the input, a signal that arrives just before the read() would be handled only
+    when the read() returns."""
     reads, writes = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     before = signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
     try:

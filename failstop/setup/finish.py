@@ -39,13 +39,13 @@ CONSENT = "spin\n"
 """The word that `failstop prove` wants to read before it turns the wheels."""
 FROZEN = "frozen"
 GIVES_UP = 3
-"""How many signals it takes to kill a hanging command. The first Ctrl-C ends the stand test. If the board is unplugged
-at that time, the test waits until the board is plugged in again. The second Ctrl-C ends this waiting. So only the third
-signal kills."""
+"""How many signals it takes to kill a hanging command. The first Ctrl-C ends the stand test. If the board is unplugged,
+the test then waits until the board is plugged in again, and the second Ctrl-C ends this waiting. So only the third
+signal kills the command."""
 REPLACE = "replace"
 NOT_YET = "service"
-"""The name of the check that setup leaves out when it runs the doctor's checks. The check needs a running service, but
-the service is started only after the setup."""
+"""The doctor's check whose result setup does not show, because this check needs a running service, and the service is
+started only after the setup."""
 RESULT = "result.json"
 
 
@@ -104,12 +104,12 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
 
 
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
-    """Run a command until it exits. `said` is written to its input. Returns its exit code, and True if a signal has
-    arrived. After a signal, this program must exit too.
+    """Run a command, write `said` to its input, and wait until it exits. Returns the command's exit code, and True if a
+    signal has arrived. After a signal, the caller must exit too.
 
     The command stops the wheels before it exits, so this function waits for it. Ctrl-C reaches the command directly
-    from the terminal. Other signals are passed on as SIGTERM. At signal number GIVES_UP, the command is killed, because
-    it seems to hang.
+    from the terminal. This function passes on every other signal as SIGTERM. After GIVES_UP signals, it kills the
+    command, which seems to hang.
     """
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
@@ -227,8 +227,8 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
 def closing(
     talk: Talk, path: str, name: str, evidence: Mapping[str, Any], settings: Mapping[str, object] | None = None
 ) -> None:
-    """Print the summary: what is proved, what is not proved, and the commands to type next. With `settings`, it also
-    shows how to use the guard port, if failstop has one for this board."""
+    """Print the summary: what is proved, what is not proved, and the commands to type next. With `settings`, also show
+    how to use the guard port, if failstop has one for this board."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
@@ -271,8 +271,8 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """Return the command that tests this robot on its stand. It names the settings file at `path`, unless that is the
-    installed file, which is the default."""
+    """Return the command that tests this robot on its stand. The command names the settings file `path`, unless this is
+    the installed file, which the command uses by default."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 

@@ -34,7 +34,7 @@ WRITES = 5
 """How many times a stop is written to a board that can't confirm it. A single stop may be lost on the line."""
 APART_S = 0.1
 STALE_S = 0.03
-"""How long answers to an earlier program's questions may still arrive, s."""
+"""How long after opening the port the answers to an earlier program's questions may still arrive, s."""
 ANSWERS_S = 0.25
 """How long to wait for the board's answer to one question, s. After that time, the stop and a question are sent
 again."""
@@ -43,7 +43,7 @@ CONFIRMS_S = 1.5
 RESTS_S = 5.0
 """How long to wait until turning wheels are at rest, s."""
 REST_S = 0.2
-"""How long the board must report wheels at rest until they count as at rest, s."""
+"""Wheels count as at rest after the board has reported them at rest for this long, s."""
 REPORTS_S = 1.0
 """How long to wait for the board's first report about its wheels, s. A board that sends none in this time counts as one
 that never reports."""
@@ -62,9 +62,9 @@ class Halt:
         self.last: Halted | None = None
 
     def now(self, waits_s: float = WAITS_S) -> Halted:
-        """Stop the wheels, and find out whether they have stopped. It raises nothing, because the result describes each
-        failure. If the port is unplugged, this waits up to `waits_s` until the port is back. Ctrl-C, SIGTERM and SIGHUP
-        end only this waiting."""
+        """Stop the wheels, and find out whether they have stopped. Raises nothing; the result describes each failure.
+        If the port is unplugged, wait up to `waits_s` until it is back. Ctrl-C, SIGTERM and SIGHUP end this waiting,
+        but nothing else."""
         with noted() as signals:
             self.last = self._stop(waits_s, signals)
         return self.last
@@ -92,8 +92,9 @@ class Halt:
             time.sleep(RETRY_S)
 
     def _asked(self) -> Halted:
-        """Ask the board whether the stop has arrived, then wait until the board reports wheels at rest. Raises
-        PortError, or OSError if the port disappears meanwhile."""
+        """Ask the board whether the stop has arrived. If this board can't tell, write the stop a few more times
+        instead. Then wait until the board reports wheels at rest, if it reports about them. Raises PortError, or
+        OSError if the port disappears meanwhile."""
         board = self._board
         confirms = bool(board.pings)  # other boards report zero speed even if they never heard the stop
         fd = open_port(self._path, exclusive=False, line=board.port)

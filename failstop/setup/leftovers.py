@@ -2,7 +2,7 @@
 
 Usually a service that is started again removes what its last run has left behind. But nobody starts `setup-4711` again.
 So a program that starts a service with a one-time name first removes what killed services with such names have left
-behind: shared memory, the runtime folder, and a folder for files.
+behind: shared memory, the runtime folder, and the folder that folder() has made.
 """
 
 from __future__ import annotations

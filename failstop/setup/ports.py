@@ -54,9 +54,9 @@ def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
     """Return a path for the port that stays the same when the board is plugged in again. If the port has no stable
     path, this returns `path` itself.
 
-    failstop's udev rule makes a name from the port's chip, and the folder by-id has a name that is made from what the
-    device reports about itself. If a second device of the same kind is plugged in, it could get either name. So a name
-    is used only if no other device could get it.
+    One possible path comes from failstop's udev rule, which makes it from the port's chip. Another is in the folder
+    by-id, and is made from what the device reports about itself. A second device of the same kind could get these
+    paths. So such a path is returned only if no other device could get it.
     """
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)

@@ -41,13 +41,13 @@ STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
 """The distance from the robot's middle to each wheel, m. To turn only one of two wheels, the robot drives forward and
-turns at the same time. At the other wheel, the two speeds must cancel exactly at every moment of their ramps. They do
-so because this distance is a power of two."""
+turns at the same time, so that the two motions cancel at the other wheel. They cancel exactly at every moment of their
+ramps, because this distance is a power of two, so multiplying by it rounds nothing."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
-"""How long drive() keeps trying while its commands are blocked, s. On a busy machine, the gate may publish that motion
-is enabled only some time after it has answered enable()."""
+"""How long drive() keeps trying while its commands are blocked, s. On a busy machine, commands may still be blocked for
+some time after the gate has answered enable()."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 
 Velocity = tuple[float, float, float]
@@ -115,8 +115,8 @@ class Rig:
         self._drove = False
         self.turned: dict[int, float] = {}
         """The fastest speed that the board has reported for each wheel id, with its sign, in the board's unit. If the
-        board reports positions instead, this is the direction of the change: 1, -1, or 0 if the position has not
-        changed. Empty if the board reported nothing."""
+        board reports positions but no speeds, the value is the direction in which the position has changed: 1, -1, or 0
+        for no change. Empty if the board reported nothing."""
         self.moved: dict[int, float] = {}
         """How far the position of each wheel id has changed, in the board's counts, without a sign. Empty if the board
         reports no positions."""
@@ -257,7 +257,8 @@ class Rig:
         return ""
 
     def close(self) -> None:
-        """Stop the wheels through the service, end the service, and then write a stop to the port itself."""
+        """Stop the wheels through the service, and end the service. If the wheels were driven, then write a stop
+        directly to the port."""
         with uninterrupted():
             self._end()
 

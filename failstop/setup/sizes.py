@@ -27,8 +27,8 @@ def answer_key(key: str) -> str:
 
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
-    """Ask for the sizes and limits, as the fourth step of the setup. If `known`, failstop knows this robot's sizes and
-    offers them as defaults. Otherwise it offers no sizes. Raises Left."""
+    """Ask for the sizes and limits, as the fourth step of the setup. `known`: True if failstop knows this robot's
+    sizes. They are then offered as answers; otherwise no sizes are offered. Raises Left."""
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
@@ -68,6 +68,6 @@ OPTIONS = {
     answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
-"""The questions about sizes and limits. For each key, the help text of the command-line option that answers the
+"""The keys of the questions about sizes and limits, each with the help text of the command-line option that answers the
 question."""
 assert all(option(key).startswith("--") for key in OPTIONS)

@@ -63,8 +63,8 @@ class Talk:
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
         """Ask a question, and return the checked answer. `default` is the answer if the person only presses Enter. With
-        `keep`, the answer is saved, and the next setup uses it. Raises Left if an option has a wrong answer, or if
-        nobody can be asked."""
+        `keep`, the answer is saved for the next setup, and an answer that was saved earlier is used. Raises Left if an
+        option has a wrong answer, or if nobody can be asked."""
         if (value := self.given.pop(key, None)) is not None:
             try:
                 found = check(value)
@@ -147,8 +147,8 @@ def yes_or_no(answer: str) -> str:
 
 
 def one_of(choices: Mapping[str, str]) -> Check:
-    """Return a check for a choice from a list. `choices` has a name and a description for each. The person types the
-    name, or its number counted from 1."""
+    """Return a check for a choice from a list. `choices`: the names to choose from, each with its description. The
+    person types a name, or its number in the list, counted from 1."""
     names = list(choices)
 
     def check(answer: str) -> str:

@@ -3,8 +3,8 @@ know that number.
 
 Many boards use the same scale for the speeds that are commanded and for the speeds that are reported. With a wrong
 scale, the two speeds still agree, so comparing them shows nothing. Therefore a person turns a wheel by hand, and the
-change of the board's counts shows the true scale. If no wheel can be turned by hand, failstop drives a wheel slowly,
-and the person counts its turns.
+change of the board's counts shows the true scale. If that is not possible, failstop drives a wheel slowly, and the
+person counts its turns.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ SECONDS = 10.0
 ASK_S = 0.1
 REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
-"""How many counts a position must change to count as a turn. A smaller change is play or noise."""
+"""A wheel has turned if its position has changed by at least this many counts. A smaller change is play or noise."""
 OTHERS = 0.2
-"""How far any other wheel may have moved, as a share of the counts of the wheel that the person has turned. If another
-wheel has moved further, the person has turned two wheels."""
+"""While a person turns one wheel, each other wheel may move by this share of its counts. If another wheel has moved
+further, the person has turned two wheels."""
 MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """Ask a person for the scale. Returns the setting board.per_rps. If a wheel was turned, this also returns the
-    setting that confirms the scale. Returns nothing if the board knows its scale, or if the person does not know the
-    answer.
+    """Ask a person for the scale. Returns no settings if the board knows its scale, or if the person does not know the
+    answer. Otherwise returns the setting board.per_rps and, if a wheel was turned to find it, the setting that confirms
+    the scale.
 
     `speeds` is the number of wheel speeds in a frame of the board. Raises Left.
     """

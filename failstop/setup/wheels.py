@@ -18,7 +18,7 @@ from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
 SECONDS = 1.0
 RPS = 0.5
-"""How fast a wheel turns, turns per second. This is slow, but fast enough to be seen."""
+"""How fast a wheel turns at first, turns per second, if no limit is lower. This is slow, but fast enough to be seen."""
 FASTEST_RPS = 2.0
 AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
 WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
@@ -43,8 +43,8 @@ def names(count: int) -> list[str]:
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
     """Check the answer about a wheel, and return it in its usual form. For example, `fl+` means that the front left
-    wheel turned forward. The answers "again" and "faster" are also allowed. With `spare`, an id may have no wheel, so
-    the answer "none" is allowed too. Raises NotAnAnswer."""
+    wheel turned forward. The answers "again" and "faster" are also allowed. If `spare`, the motor's id may have no
+    wheel, so the answer "none" is allowed too. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
         return text
@@ -57,8 +57,8 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """Ask the person whether the wheels may turn. The question is asked in every setup, even if an earlier setup has
-    asked it already. Raises Left if the answer is no."""
+    """Ask the person whether the wheels may turn. The answer of an earlier setup does not count. Raises Left if the
+    answer is no."""
     talk.say(STAND, style.STRONG)
     if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
@@ -80,7 +80,7 @@ class Trial:
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
         self._explained = False
-        """True after the questions about the wheels have been explained."""
+        """True once the person has been told how to answer the questions about the wheels."""
         self._ratios: list[float] = []
         """The measured speed divided by the commanded speed, for each wheel that has turned."""
         self._set_speeds()
@@ -156,9 +156,9 @@ class Trial:
         return found
 
     def _scale(self) -> dict[str, object]:
-        """Compare the wheels' measured speed with the commanded speed. If they differ, return the corrected scale as
-        settings, else nothing. Also return nothing for a board whose reports depend on board.per_rps, because they
-        agree with the commands even if the scale is wrong."""
+        """Compare the wheels' measured speed with the commanded speed. If they differ too much, return the corrected
+        scale as settings, otherwise nothing. If the board's reports also depend on board.per_rps, return nothing,
+        because such reports agree with the commands even if the scale is wrong."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
@@ -219,7 +219,7 @@ class Trial:
 
     def _together(self, values: Mapping[str, object]) -> str:
         """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first
-        question that the person has answered with no. Empty if all answers were yes. Raises Left."""
+        question to which the answer was no. Empty if all answers were yes. Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))
