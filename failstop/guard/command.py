@@ -111,9 +111,10 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The path of the port if --path is not given. It is the setting guard.path if that is set. Otherwise the port is
-    in systemd's runtime folder for this unit. If there is no such folder, it is in the service's runtime folder or, if
-    this user may not write there, in the user's. Raises FailstopError if this user may write to neither."""
+    """The path of the port if --path is not given. If the setting guard.path is set, it is this path. Otherwise the
+    port is in the first of these folders that exists and that this user may write to: systemd's runtime folder for this
+    unit, the service's runtime folder, the user's own runtime folder. Raises FailstopError if there is no such
+    folder."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):
@@ -171,8 +172,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line. The line is dropped if it can't be printed at once, for example because the terminal is paused or
-    nobody reads the pipe. Waiting would hold up the guard, and the driver would wait too."""
+    """Print a line, or drop it if it can't be printed at once, for example because the terminal is paused or nobody
+    reads the pipe. The guard must not wait, because the driver would have to wait too."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(standard.folded(line), flush=True)

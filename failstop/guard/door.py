@@ -1,5 +1,5 @@
-"""Door: watches which programs have the pseudo-terminal open, as far as Linux shows it, and limits how many times it
-may be open.
+"""Door: watches which programs have the pseudo-terminal open, as far as Linux shows this, and limits how many times the
+pseudo-terminal may be open.
 
 When a program is killed, the guard notices the end in three steps. First, /proc shows that the process is ending; the
 guard looks there a few hundred times per second. Then the kernel frees the program's memory and closes its files, and
@@ -45,7 +45,7 @@ class Door:
         self._lives: dict[int, int] = {}
         """The pidfd of each program in `seen`, and of each program that is dying."""
         self._dying: dict[int, tuple[Opener, int]] = {}
-        """The programs that are dying, by pid: (the program, how many of its closes inotify has not reported yet)."""
+        """Each dying program, by pid, with the number of its closes that inotify has not reported yet."""
         self._closed: set[int] = set()
         """The programs that had no descriptor of the pseudo-terminal when abandoned() last looked."""
         self._begin()
@@ -61,8 +61,8 @@ class Door:
         return self.count > self.most
 
     def wait(self, seconds: float) -> dict[int, int]:
-        """Sleep until a driver has written to the port, opened it or closed it, but at most for `seconds`. Returns the
-        argument for look()."""
+        """Sleep until a program has written to the port, opened or closed it, or has died, but at most for `seconds`.
+        Returns the argument for look()."""
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
@@ -90,7 +90,8 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """True if inotify has just reported the close of a program whose end the guard has already counted."""
+        """Count a close that inotify has just reported as the close of a dying program. Returns False if no dying
+        program has closes left to report."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -98,9 +99,9 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed the pseudo-terminal while a child still has it open. Two calls in a row must
-        find that a program has no descriptor, because after one call inotify may still be about to report the close.
-        Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
+        if two calls in a row have found no descriptor in it, because at the first call inotify may be about to report
+        the close. Raises OSError."""
         wanted, before = identity(self._pty.name), self._closed
         with contextlib.suppress(PermissionError):
             self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}

@@ -24,7 +24,8 @@ AT_DEATH = {
 """What happens, besides the stop, when a driver dies while it drives. The keys are the values of the setting
 gate.driver_death."""
 MOST_SHOWN = 200
-"""How many different motions are printed for one driver, and how many other frames."""
+"""The most different motions that are printed for one driver. As many different frames that are not motion are
+printed."""
 
 
 class Nothing:
@@ -54,7 +55,7 @@ class Nothing:
         self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
-        """Print what failstop would do at the end of a driver that did not end cleanly (`in_order` is False)."""
+        """If the driver did not end cleanly (`in_order` is False), print what failstop would do."""
         if not in_order and self.settings:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
@@ -77,8 +78,8 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print `wrong` once for each motion of the driver. The guard itself prints refusals and a driver's end, so
-        this leaves them out."""
+        """Print `wrong`, at most once for each motion of the driver. Refusals and a driver's end are left out here,
+        because the guard itself prints them."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")

@@ -56,7 +56,7 @@ SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
 PAST_NS = 4_000_000_000
 """How long bytes from the board are kept. When a driver opens the port, the guard first gives the newest of these bytes
-to its DriverLanguage."""
+to the driver's DriverLanguage."""
 A_DRIVER = "a driver"
 
 
@@ -72,8 +72,8 @@ class Guard:
         self._who = A_DRIVER
         """The driver's name, for people."""
         self._crowded = False
-        """True if the port was open too many times when this was last counted. It stays True while the end of one of
-        the programs is handled."""
+        """True if the port was open too many times at the last count. If one of the programs ends, this stays True
+        until its end is handled."""
         self._flooded = False
         self._wrote = False
         """True if the guard has read bytes from the current driver."""
@@ -138,7 +138,8 @@ class Guard:
             self._tell(line)
 
     def _look(self, now_ns: int) -> None:
-        """Check whether the service still runs and whether the link to the guard port still exists."""
+        """Check whether the service still runs, whether the link to the guard port still exists, and whether a program
+        has closed the port while a child of it still has the port open."""
         self._board.look(now_ns)
         if self._board.runs != self._runs:
             self._runs = self._board.runs
@@ -243,8 +244,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """Begin a conversation with the program that has the port open, or continue the conversation `talk`. If no
-        program has the port open, wait for a program."""
+        """If a program has the port open, begin a conversation with it, or continue the conversation `talk`. Otherwise
+        note that no driver is there."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
@@ -258,8 +259,8 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """End the conversation, because a program has closed the port or died. Other programs may still have the port
-        open, but nothing shows which of the programs wrote the bytes."""
+        """End the conversation, because a program has closed the port or died. The conversation ends even if other
+        programs still have the port open, because nothing shows which of the programs wrote the bytes."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
@@ -285,8 +286,8 @@ class Guard:
             self._tell_hasty(talk)
 
     def _may_drive(self) -> bool:
-        """True if the driver's newest motion is not zero, or if too many programs have the port open, because then
-        nobody can say which of them wrote that motion."""
+        """True if the driver's newest motion is not zero. Also True if too many programs have the port open, because
+        nobody can say which of them wrote the newest motion."""
         return self._talk is not None and (self._talk.holds or self._crowded)
 
     def _ending(self, *, held: bool) -> str:
@@ -323,8 +324,8 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """Read and answer the driver's bytes while the guard does something that takes long. Once a call could not read
-        everything, further calls read nothing, so a driver that writes without end can't hold up the guard."""
+        """Read and answer the driver's bytes while the guard does something that takes long. If a call could not read
+        all bytes, the next calls read nothing, so that a driver that writes without end can't hold up the guard."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 

@@ -26,8 +26,8 @@ class News:
 
     def __init__(self) -> None:
         self.any = False
-        """True if a program may have opened or closed the port, or may have ended. The guard must then find out again
-        which programs have the port open."""
+        """True if the guard must find out again which programs have the port open, because a program may have opened or
+        closed the port, or may have ended."""
         self.ended = False
         """True if a program that had the port open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []

@@ -94,8 +94,8 @@ def openers(
     """Find the programs that have opened the terminal and still have it open, except the guard itself. Returns (the
     programs by pid, True if /proc may hide more of them).
 
-    `before` and `opened`: see owners(). `meanwhile`: called after each process. If many processes run, the search takes
-    longer than a driver waits for an answer.
+    `before` and `opened`: see owners(). `meanwhile`: called for each process, because among many processes the search
+    takes longer than a driver waits for an answer.
     """
     wanted = identity(path)
     held: list[Held] = []
@@ -140,7 +140,8 @@ def owners(
 
     `before`: the pids that the previous search found as owners. `same`: returns True if two descriptors share an
     opening, False if they don't, and None if the kernel does not say. `opened`: how many openings inotify has counted.
-    If `same` returns None, a descriptor counts as a new opening only until this number is reached."""
+    A descriptor for which `same` returns None counts as a new opening only while fewer openings than `opened` have been
+    found."""
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
         answers = [same(each, other) for other in first]
@@ -187,9 +188,9 @@ def identity(path: str) -> tuple[int, int, int]:
 
 
 def dying(pid: int) -> bool:
-    """True if a process is ending, or is gone. A process with a pending SIGKILL counts as ending, because on a busy
-    machine it may take tens of milliseconds until the process runs again and begins to end. Then the kernel frees the
-    process's memory, which takes long for a large process. The files are closed only after that.
+    """True if a process is ending, or is gone. A process with a pending SIGKILL counts as ending. On a busy machine, it
+    may take tens of milliseconds until this process runs again and begins to end. Then the kernel frees its memory,
+    which takes long for a large process, and only after that it closes the files.
 
     If the main thread has ended, the process counts as ending only if all its other threads are ending too.
     """

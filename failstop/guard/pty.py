@@ -112,8 +112,8 @@ class Pty:
             raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
-        """True if the link still leads to this pseudo-terminal. When the service ends, it may remove its runtime
-        directory with the link in it."""
+        """True if the link still leads to this pseudo-terminal. The link may be gone after the service has ended,
+        because the service may remove its runtime directory, with the link in it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
@@ -138,8 +138,8 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Write one answer or one frame to the driver, either completely or not at all. Returns False if `data` is
-        lost, because the driver does not read."""
+        """Write one answer or one frame to the driver. If the terminal accepts only the beginning of `data`, the next
+        call writes the rest first. Returns False if `data` is lost, because the driver does not read."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
         if self._left:

@@ -13,8 +13,8 @@ REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:
-    """Return the path of the guard port, or an empty text if the client is not a guard. `sees`: the client's report
-    about itself."""
+    """Return the path of the guard port from `sees`, a client's report about itself. Empty if the client is not a
+    guard."""
     for words in (DRIVES, WAITS):
         if sees.startswith(words):
             return sees.removeprefix(words)

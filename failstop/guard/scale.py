@@ -33,8 +33,8 @@ class Scale:
 
     def __init__(self, settings: Settings, per_rps: float, step_rps: float, *, assumed: bool = False) -> None:
         """`per_rps`: how many of the board's speed units make one wheel turn per second. `step_rps`: the smallest
-        difference between two speeds of the board, turns per second. `assumed`: True if nobody has confirmed `per_rps`.
-        The limits in `settings` are lower then."""
+        difference between two speeds of the board, turns per second. `assumed`: True if nobody has confirmed `per_rps`,
+        so that the limits in `settings` are lower."""
         self._chassis = from_settings(settings)
         self.wheels = len(self._chassis.rest) - self._chassis.steers
         self._limits = [settings[key] for key, *_ in AXES]
@@ -51,8 +51,8 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """Return a text with the commanded speed and the limit if the velocity is beyond the settings' limits,
-        otherwise an empty text."""
+        """If the velocity is beyond the settings' limits, return a text with the commanded speed and the limit.
+        Otherwise return an empty text."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]

@@ -99,7 +99,7 @@ class Service:
 
     def leave(self, *, in_order: bool) -> None:
         """Stop sending commands in the name of the driver. `in_order`: False if the driver ended or died while it was
-        driving. The service then does what the setting gate.driver_death says."""
+        driving; the service then does what the setting gate.driver_death says."""
         self._who = None
         self._leave(in_order=in_order)
 

@@ -23,16 +23,17 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 RENEW_NS = 100_000_000
-"""The longest time between two commands for the same motion. The guard repeats the command, because the motion may
-count for longer than the service lets one command count."""
+"""While a motion counts, the guard repeats the motion's command at least this often, because the motion may count for
+longer than the service lets one command count."""
 FRAME_EVERY_NS = 20_000_000
-"""The shortest time between two frames that are not motion, so that they leave the serial line free for motion."""
+"""The shortest time between two frames that are not motion. More of them would leave too little of the serial line for
+motion."""
 MOST_FRAMES = 8
 """How many frames that are not motion may wait to be sent, one of each kind. A frame of a further kind is dropped."""
 MOST_REFUSALS = 32
 """How many different refusals are reported for one driver."""
 LATE_FOR_NS = 3_000_000_000
-"""The report about a driver's end mentions a late answer if the driver got it within this time before the end."""
+"""If a driver got a late answer within this time before its end, the report about its end mentions the late answer."""
 NOT_WHEELS = "a motion that is not valid"
 
 
@@ -70,7 +71,8 @@ class Talk:
         self._written_ns = 0
         """The earliest time at which the driver may have written its newest motion."""
         self._late_ns = self._late_at_ns = 0
-        """How long the driver may have waited for its newest late answer, ns, and when that answer was given."""
+        """For the driver's newest late answer: how long the driver may have waited for it, and when it was given, both
+        in ns."""
         self._sent_ns: int | None = None
         """The `t_ns` of the newest command that was made from the current motion. None if no command was made from it
         yet."""
@@ -171,8 +173,9 @@ class Talk:
         """The command that must be sent to the service now. None if the service needs no new command.
 
         The service lets each command count only for its own timeout, which may be shorter than the driver's timeout. So
-        the guard sends the command again and again while the driver's motion counts. The time of the last command is
-        chosen so that it expires exactly when the motion does. So the wheels stop in time even if the guard hangs."""
+        the guard sends the command again and again while the driver's motion counts. The last of these commands gets a
+        `t_ns` with which it expires exactly when the motion does. So the wheels stop in time even if the guard
+        hangs."""
         if self._speeds is None:
             return None
         last_ns, sent_ns = self._last_ns, self._sent_ns
@@ -208,8 +211,8 @@ class Talk:
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
         """End the conversation, because the driver has gone. `unread`: bytes from the driver that were not read yet.
-        Returns True if the driver ended or died while it was driving. A motion in `unread` is never carried out. But if
-        the last motion in `unread` is zero, the driver had stopped the wheels itself."""
+        Returns True if the driver ended or died while it was driving. No motion in `unread` is carried out. But it
+        counts as the driver's newest motion: if it is zero, the driver had stopped the wheels itself."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
