@@ -1,9 +1,9 @@
 """Bells wake processes. A loop can wait for several bells, and for other descriptors, in one epoll set. A bell carries
-no data. It only tells a process to look at the shared memory. If a ring is lost, the process looks at its next tick
-instead, so nothing is missed.
+no data. It only tells a process to look at the shared memory. If a ring is lost, the process looks a little later, at
+the next tick of its loop, so nothing is missed.
 
 An EventBell (an eventfd) is for the service's own processes, which inherit it. A pipe (a FIFO in the runtime directory)
-is for clients. Each byte in the pipe is the number of a slot, which hints at where to look. But any byte rings the
+is for clients. Each byte in the pipe is the number of the slot to look at, but this is only a hint: any byte rings the
 bell.
 """
 
@@ -91,8 +91,8 @@ def send(fd: int, data: bytes) -> bool:
 
 MOST_BYTES = 65536
 _received = bytearray(MOST_BYTES)
-"""A buffer for receive(). It is created at the start, because the reader of stop requests must keep working even when
-the machine has no memory left."""
+"""A buffer for receive(). It is made when this file is imported, because the reader of stop requests must keep working
+even if the machine has no memory left."""
 
 
 def receive(fd: int) -> bytes:

@@ -2,8 +2,8 @@
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
-The CRC covers the length, seq, t_mono_ns and payload. It is seeded with the record's name and the run's incarnation, so
-bytes of a different record, or of a dead run, never pass the check.
+The CRC covers the length, seq, t_mono_ns and payload. The CRC is seeded with the record's name and the run's
+incarnation, so bytes of a different record, or of a dead run, never pass the check.
 
 To write a cell: (1) build the whole cell privately, (2) pass a barrier, (3) store it with ONE slice assignment.
 To read a cell: (1) take ONE slice copy, (2) check the private copy, (3) use only the private copy.
@@ -12,8 +12,8 @@ A reader may copy a mixture of old and new bytes, for example if the writer dies
 the private copy then shows the damage. So a reader never accepts a damaged value, in whatever order the processor loads
 and stores the bytes. Never use `struct.pack_into` on shared memory: it writes zeros first, and a reader would see them.
 
-A Latest consists of two cells that are written in turn. Its value is that of the newest whole cell. A Ring is a stream
-of entries."""
+A Latest record consists of two cells that are written in turn. The newest whole cell has the record's value. A Ring
+record is a stream of entries, one in each cell."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class FileView:
     """A file that is used like memory, through pread and pwrite. It is for files that clients may write. The service
     maps only files that no other program can write.
 
-    If a client truncates the file, a read returns too few bytes, and the CRC check then rejects them. If the file were
-    mapped, the reader would be killed by a SIGBUS.
+    If a client truncates the file, a read returns too few bytes, and check() rejects them. If the file were mapped, a
+    SIGBUS would kill the reader.
     """
 
     def __init__(self, fd: int) -> None:
@@ -163,7 +163,8 @@ class LatestReader(_Cells):
 
 class _Writer(_Cells):
     """The only writer of a record. If the writing process dies, the process that replaces it continues after the newest
-    whole entry. It overwrites a cell that was only half written, and the entry before that cell stays readable."""
+    whole entry. If the dead process has left a half-written cell, the new one overwrites this cell, so the newest whole
+    entry stays readable."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
@@ -222,8 +223,8 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of the next cell if it was blank or held an older entry. While the bytes stay the same, the reader
-        does not check them again."""
+        """The bytes of the next cell at the last look, if the cell was blank or held an older entry then. While the
+        bytes stay the same, the reader does not check them again."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 
@@ -262,8 +263,8 @@ class RingReader(_Cells):
         self._old = b""
 
     def _check(self, raw: bytes) -> Entry | None:
-        """The entry in a copy of the next cell. None if the copy is not whole, or if its entry belongs in a different
-        cell."""
+        """The entry in a copy of the next cell. None if the copy is not whole, or if an entry with its number belongs
+        in a different cell."""
         entry = check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._cells:
             return None

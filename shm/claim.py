@@ -18,8 +18,8 @@ _FLOCK = struct.Struct("hhqqi4x")  # l_type, l_whence, l_start, l_len, l_pid on 
 
 
 def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int = -1) -> int:
-    """Open a claim file. If `create` is True, create the file with the mode `mode` and the group `gid`, which only the
-    service does. Raises OSError, for example place.Untrusted."""
+    """Open a claim file. `create`: create the file if it does not exist, and give it the mode `mode` and the group
+    `gid`. Only the service creates it. Raises OSError, for example place.Untrusted."""
     fd = place.opened(path, os.O_RDWR | (os.O_CREAT if create else 0))
     if create:
         if gid >= 0:
@@ -29,8 +29,8 @@ def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int 
 
 
 def acquire(fd: int, index: int) -> bool:
-    """Claim the byte `index`. The claim lasts as long as `fd` stays open. Returns False if another process has already
-    claimed the byte."""
+    """Claim the byte `index`. The claim lasts as long as `fd` stays open. Returns False if the byte is already claimed
+    through a descriptor from a different open()."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
     except (BlockingIOError, PermissionError):
@@ -45,7 +45,7 @@ def release(fd: int, index: int) -> None:
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
     """True if the byte `index` is claimed through a descriptor other than `fd`. `by_writer`: count only holders that
-    may write the file. A read-only descriptor is enough for this check."""
+    may write the file. `fd` itself may be read-only."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -36,8 +36,8 @@ class HeartbeatReader:
 
 
 class Heartbeat:
-    """Writes the heartbeat of a process. Only the process that owns the segment writes it. When a process is restarted,
-    its heartbeat starts with fresh values."""
+    """Writes the heartbeat of a process. Only the process that owns the segment may use this. When a process is
+    restarted, its heartbeat starts with fresh values."""
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
@@ -61,8 +61,8 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish the state BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The silence before this beat does
-        not count towards the longest silence, because a start may take long."""
+        """Publish the state BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The time since the previous beat
+        does not count for `worst_ns` (the longest silence), because a start may take long."""
         self.last_ns = now_ns
         self.beat(now_ns)
         self._words.state.set(state)

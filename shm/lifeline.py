@@ -69,8 +69,8 @@ class Lifeline:
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True if the watched process has died. This can be so before a report has reached the loop. Makes two system
-        calls and never blocks."""
+        """True if the watched process has died, even if no report has reached the loop yet. Makes two system calls and
+        never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
@@ -80,7 +80,8 @@ class Lifeline:
         return bool(poll.poll(timeout_s * 1000))
 
     def kill(self) -> None:
-        """Send SIGKILL to the watched process. A different process that has got the same pid is never killed."""
+        """Send SIGKILL to the watched process. Even if a different process has got the same pid by now, that process is
+        not killed."""
         with contextlib.suppress(OSError):
             _signal.pidfd_send_signal(self.fd, _SIGKILL)
 
@@ -123,10 +124,11 @@ class EarlyNews:
         """Start a thread that waits until the process that holds the futex line `line` dies. Only one thread is started
         for each lifeline. The thread ends when the lifeline is closed.
 
-        `stop`: the thread calls this when the process has died. It then sleeps for a moment, so that the stop's bytes
-        leave the computer, and rings the bell. `dying`: the priority of the watched process. If this process has
-        real-time rights, a thread with a `stop` gets a priority above `dying`. With a lower priority, on a computer
-        with one core, the thread would wait until the kernel has freed the dying process's memory.
+        `stop`: the thread calls this when the process has died. Then the thread demotes the dying process, sleeps for a
+        moment, so that the stop's bytes leave the computer, and rings the bell. `dying`: the priority of the watched
+        process. If this process has real-time rights, a thread with a `stop` gets a priority above `dying`. With a
+        lower priority, on a computer with one core, the thread would wait until the kernel has freed the dying
+        process's memory.
         """
         if not life.watched:
             life.watched = True

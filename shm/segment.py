@@ -92,8 +92,8 @@ class Segment:
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
-        """A reader of a Ring record. It starts with the next entry that is published, or with the oldest entry in the
-        ring if `from_oldest` is True."""
+        """A reader of a Ring record. If `from_oldest`, it starts with the oldest entry in the ring, otherwise with the
+        next entry that is published."""
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
@@ -102,8 +102,8 @@ class Segment:
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """The futex in one line of a record of futexes. `write`: True if a thread of this process will hold the futex.
-        Otherwise a thread can only wait for the holder's death. Works only in unmapped segments. Raises OSError."""
+        """The futex in one line of a record of futexes. `write`: True if a thread of this process will hold the futex,
+        False if threads will only wait for the holder's death. Works only in unmapped segments. Raises OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -112,8 +112,8 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty this client's slot, except for the record of its goodbyes. If a goodbye were erased before the gate has
-        read it, the gate would take the client's clean exit for a death."""
+        """Empty this client's slot, except for the record of goodbyes. A client that exits cleanly writes a goodbye. If
+        this goodbye were erased before the gate has read it, the gate would take the clean exit for a death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 

@@ -2,9 +2,9 @@
 keeps loads and stores of words and cells in order.
 
 A load or store of a word (through a memoryview cast to 'Q') is a single machine access. So a reader sees either the old
-or the new value and never a mixture. If several values must be true together, put them in one cell instead of several
-words. A reader may see two words change in a different order than they were stored. To prevent this, the writer must
-pass a barrier between its two stores, and the reader must pass one between its two loads.
+or the new value and never a mixture. If several values belong together, put them in one cell, not in several words. If
+a writer stores two words, a reader may see the second change before the first. To prevent this, the writer must pass a
+barrier between its two stores, and the reader must pass one between its two loads.
 """
 
 from __future__ import annotations
