@@ -56,9 +56,10 @@ class Arm:
         `speed` allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
         each text about the progress.
 
-        Raises Refused if an angle is out of range, the move is too fast, the arm would hit something, motion is
-        enabled, a stop is latched, another request or arm.hold() ends the move, or a servo does not answer or does not
-        follow.
+        Raises Refused before the move if an angle is out of range, if the move would be too fast, if the arm would hit
+        something, if motion is enabled, or if a stop is latched. Raises Refused during the move if arm.hold(), another
+        request or a stop ends it, or if a servo does not answer or does not follow. Raises ValueError for an unknown
+        joint.
         """
         asked_ns = monotonic_ns()  # another request may be made while the whole way is checked
         points = [(over_s, to)] if isinstance(to, Mapping) else to
@@ -87,16 +88,16 @@ class Arm:
         return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
-        """Move the arm toward these angles, and return at once. The arm stops when the setting arm.goal_timeout_s has
-        passed without a new call, so call this function again and again. Raises Refused for an angle out of range.
-        State.arm shows whether the arm moves. If it does not, State.arm gives the reason."""
+        """Move the arm toward these angles, and return at once. Call this function again and again, because the arm
+        stops if no new call comes within the time of the setting arm.goal_timeout_s. State.arm shows whether the arm
+        moves, and if not, why. Raises Refused for an angle out of range."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn joints at these rates (rad/s), and return at once. They stop when the setting arm.goal_timeout_s has
-        passed without a new call, so call this function again and again. Raises Refused for a rate that is not
-        finite."""
+        """Turn joints at these rates (rad/s), and return at once. Call this function again and again, because the
+        joints stop if no new call comes within the time of the setting arm.goal_timeout_s. Raises Refused for a rate
+        that is not finite."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -108,8 +109,8 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, and all goals are dropped. If Robot.enable() is moving the arm
-        to its drive pose, that call fails, and motion stays disabled."""
+        """Stop the arm where it is. The torque stays on, and all goals are dropped. If the arm is on its way to its
+        drive pose because of Robot.enable(), then enable() fails, and motion stays disabled."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 LATCH_S = 1.0
-"""How long to wait until the service has latched the stop, in seconds. Normally the service needs only a few
-milliseconds."""
+"""The longest wait for the service to latch a stop, in seconds. Normally the service needs only a few milliseconds."""
 HEAR_S = 0.3
-"""How long to wait for the board's answer to a latched stop before reporting that stop, in seconds."""
+"""The longest wait for the board's answer to a latched stop, in seconds. After that, the stop is reported without the
+answer."""
 LOOK_S = 0.002
 
 
@@ -30,9 +30,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
     """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Raises no error: a problem
     is returned as text.
 
-    Returns (result, problem, doubt). `result` describes the stop, and is empty if nothing shows that a stop was
-    written. `problem` says what is wrong, if anything is. `doubt` is True if a stop is latched but the wheels may still
-    turn.
+    Returns (result, problem, doubt). `result` says that the stop is latched, or that it was written but this user can't
+    see whether it is latched. `result` is empty if neither is known. `problem` says what is wrong; empty if nothing is.
+    `doubt` is True if the stop is latched, but the wheels may still turn.
     """
     try:
         send_stop(name, reason, who)
@@ -50,9 +50,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
-    The port owner reads the pipe only after it has written the stop. So an empty pipe means that the stop was written.
-    While other programs keep writing requests, the pipe may never be empty. But there is a second sign that a stop was
-    written: the epoch is higher than at the beginning of this call.
+    Either of two signs shows that the stop was written. The first sign is an empty pipe, because the port owner reads
+    the pipe only after it has written the stop. But if other programs keep writing requests, the pipe may never be
+    empty. The second sign is that the epoch is now higher than at the beginning of this call.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader

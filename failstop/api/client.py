@@ -30,13 +30,14 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""A command that repeats the previous one within this time, in ns, does not wake the gate. The gate reads it at its
-next tick, before the previous command expires. This saves the 0.2 to 0.4 ms of processor time that a wake-up costs."""
+"""In ns. If a program repeats its previous command within this time, the repeated command does not wake the gate. The
+gate reads it at its next tick, which is before the previous command expires. This saves the 0.2 to 0.4 ms of processor
+time that a wake-up costs."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""If a program gives an object as the reason for a stop, the object's `__str__` may take this long, in seconds. A text
-that comes later is not sent."""
+"""How long the `__str__` of an object that is the reason for a stop may take, in seconds. If it takes longer, its text
+is not sent."""
 
 
 def runtime_dir(name: str) -> str:
@@ -76,10 +77,10 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
     """Ask the service to stop the robot. The service latches the stop. Every local user may do this. This call never
     waits for the service. Raises NoService, FailstopError.
 
-    The service shows `stop request: REASON (says it is WHO, pid N)`. It can't check who asked, because a pipe does not
-    show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with its own
-    `__str__`, the object's text follows in a second request. It is dropped if `__str__` takes longer than OWN_WORDS_S.
-    `row`: the name of a cause in causes.SIGNED. People then see the remedy for that cause.
+    The service shows `stop request: REASON (says it is WHO, pid N)`. The service can't check who asked, because a pipe
+    does not show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with its
+    own `__str__`, a second request with the text from `__str__` follows, unless `__str__` takes longer than
+    OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED, whose remedy people then see; empty for none.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -96,9 +97,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send the own text of the object `why` in a second stop request, and wait for that at most OWN_WORDS_S. Another
-    thread makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe. It is closed
-    afterwards."""
+    """Send the own text of the object `why` in a second stop request. This takes at most OWN_WORDS_S. Another thread
+    makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is closed
+    when the request was sent or dropped."""
     # Imported only here, because most reasons don't need it.
     from threading import Thread
 
@@ -113,8 +114,8 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
     """Make the own text of the object `why`, and send it after the service has read the first request. If both requests
-    were in the pipe, the service would read them together, and report only the first one. A text that is ready after
-    `until_s` is dropped, because it would stop the robot again after a reset."""
+    were in the pipe, the service would read them together, and report only the first one. After `until_s` the text is
+    no longer sent, because somebody may already have reset the stop, and this request would stop the robot again."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -129,8 +130,8 @@ def gone(name: str) -> NoService:
 
 
 class SeenRun:
-    """Belongs to the run of the service that is present when this object is made. It shows whether that run has ended,
-    and what its settings declare. Not thread-safe.
+    """Shows whether one run of the service has ended, and what the settings of that run declare. It is the run that is
+    present when this object is made. Not thread-safe.
 
     The values in this object do not change during the run, because the supervisor writes all of them before clients can
     find the run (supervisor/entry.py).
@@ -305,9 +306,10 @@ class Client:
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """Return the answer to the request with this number, or None until it comes. From then on, the service's state
-        shows what the request has changed. The service keeps only its newest answer to this client. So if it has
-        already answered a later request, this returns a refusal instead."""
+        """Return the answer to the request with this number, or None if it has not come yet. After this call has
+        returned the answer, the service's state shows what the request has changed. The service keeps only its newest
+        answer to this client. So if the service has already answered a later request, this call returns a refusal
+        instead."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -317,7 +319,8 @@ class Client:
 
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back, so that the last command of this client no longer counts. `in_order`: True if the client
-        ends normally, so it says goodbye. Without a goodbye, the gate treats the end of the client as a crash."""
+        ends normally; False if the gate must treat its end as a crash. Only a client that ends normally says goodbye to
+        the gate."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))

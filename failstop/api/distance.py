@@ -13,36 +13,37 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""The time from the death of a process until the board gets the stop, in seconds. It is about 1 ms on a quiet machine.
-On the shared machine of docs/reference/faults.md, the p99 of every measurement is shorter than DEATH_S. This is for
-Hiwonder's board. For every other board, OWN_LINE_S is added."""
+"""The time from the death of a process until Hiwonder's board gets the stop, in seconds. For every other board,
+OWN_LINE_S is added. The value has a margin: on a quiet machine, the measured time is about 1 ms, and on the shared
+machine of docs/reference/faults.md, the p99 of every measurement is shorter than DEATH_S."""
 SLACK_S = 0.015
 """The time from the deadline of a silent process until the stop, in seconds. The value comes from the same measurements
 as DEATH_S."""
 SILENCE_S = 0.02
 """The time from the end of a timeout until the board gets a speed of zero, in seconds, for every kind of board. The
-gate acts when the timeout ends, but for an interlock it acts one period later."""
+gate acts at once when most timeouts end. When the timeout of an interlock ends, the gate acts at its next tick."""
 OWN_LINE_S = 0.012
-"""How much later than Hiwonder's board every other board gets a stop, in seconds. Another board's serial line or loop
-may be slower, or it may miss the first stop and get a repeat. Some boards drop frames that have no gap between them. If
-a USB adapter removes the gaps, such a board gets a stop about 0.02 s later still (docs/reference/measured.md)."""
+"""How much later than Hiwonder's board every other board gets a stop, in seconds. The serial line or the loop of
+another board may be slower, or that board may miss the first stop and get a repeat. This value does not cover one case:
+some boards drop frames that have no gap between them, and if a USB adapter removes the gaps, such a board gets a stop
+about 0.02 s later still (docs/reference/measured.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
 """The text with which every screen shows the longest stopping distance."""
 Reaction = tuple[float, str]
-"""A fault that failstop can detect: for how many seconds the wheels are still commanded to turn after the fault, and
-the fault in words."""
+"""(time, fault) for one fault that failstop can detect. `time`: for how long the wheels are still commanded to turn
+after the fault, in s. `fault`: the fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """How far the base moves, in m, if it keeps the speed `speed_mps` for `seconds` and then brakes until it is at
-    rest."""
+    """How far the base moves until it is at rest, in m, if it keeps the speed `speed_mps` for `seconds` before it
+    brakes."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
 def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
-    """The highest speed from which the base can stop within `distance` (m), if it keeps that speed for `seconds` and
-    then brakes. This is the inverse of distance_m()."""
+    """The highest speed, in m/s, from which the base comes to rest within `distance` (m), if it keeps that speed for
+    `seconds` before it brakes. This is the inverse of distance_m()."""
     return braking_mps2 * (math.sqrt(seconds**2 + 2 * distance / braking_mps2) - seconds)
 
 

@@ -1,5 +1,5 @@
-"""The errors that failstop's calls raise. A failstop command that fails with one of these errors ends with the exit
-code of the error's class."""
+"""The errors that failstop's calls raise. If a failstop command fails with one of these errors, the command's exit code
+is the `exit_code` of the error's class."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class Refused(FailstopError):
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """The cause of the stop for which the request was refused. None if it was refused for another reason."""
+        """If the request was refused because of a stop, the cause of that stop. None if the request was refused for
+        another reason."""
         self.step = step
         """The next step, with commands in backquotes. Empty if no step is known."""
 
@@ -52,8 +53,8 @@ class NoService(FailstopError):
 
 
 class Undeclared(FailstopError, ValueError):
-    """The program has named a source or an interlock that the settings of the service do not declare, or that clients
-    may not use."""
+    """The program has named a source or an interlock that it can't use: the settings of the service do not declare it,
+    or it is reserved, such as the source `gamepad`."""
 
 
 class TimedOut(FailstopError, TimeoutError):

@@ -38,12 +38,12 @@ class Event:
     level: str
     """How important the event is: info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal. It is cut at 280 bytes, or at 200 or 120 bytes if the event
-    would not fit into its entry because `fields` is long."""
+    """One line for people, the same as in the journal. It has at most 280 bytes. If `fields` is long, so that the event
+    would not fit into its entry, the line is cut to 200 or 120 bytes."""
     fields: dict[str, str | int | float]
     """The event's values for programs. Each kind of event has different values (docs/logs.md)."""
     next: str = ""
-    """The next step for people, which is also the end of `text`. Empty if the event asks for no step."""
+    """What people should do next. `text` ends with the same words. Empty if nothing needs to be done."""
 
     @property
     def what(self) -> str:
@@ -55,15 +55,16 @@ class EventLog:
     """Reads the events of a running service. It needs no permission and no client slot. Not thread-safe."""
 
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
-        """`past`: True to begin with the earlier events that the service still has. Raises NoService, FailstopError."""
+        """`past`: True to begin with events from before this object was made, as far as the service still has them.
+        Raises NoService, FailstopError."""
         self.name = name
         self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:
-        """Return the events since the last call. With `past`, the first call also returns the earlier events that the
-        service still has (the last 256). Raises NoService when this run of the service has ended and all its events
-        have been read."""
+        """Return the events since the last call. The first call returns the events since this object was made, and with
+        `past` also the earlier events that the service still has (the last 256). Raises NoService if this run of the
+        service has ended and earlier calls have returned all its events."""
         over = self._run.over()  # checked before reading, because the last events must still be returned
         found = []
         while entry := self._ring.next():

@@ -1,5 +1,5 @@
-"""A futex by which the service notices that this program has died. A thread of the program holds the futex, and does
-nothing else."""
+"""Held: keeps a futex held while this program lives, so that the service notices when the program dies. An extra thread
+of the program holds the futex, and does nothing else."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Host: the commands that start or stop a service on this computer. A service is started in the same way as the last
-time. If that is not known, systemd starts it, if the unit is installed."""
+"""Host: the commands that start or stop a service on this computer."""
 
 from __future__ import annotations
 
@@ -27,14 +26,15 @@ def unit(name: str) -> str:
 
 def start(name: str) -> str:
     """Return the command that starts the service, in backquotes. If it is known how the service was started the last
-    time, the command does the same again."""
+    time, the command starts it in the same way. If not, the command is `systemctl start` if the systemd unit is
+    installed, and otherwise `failstop run`."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
-    """Return the command, in backquotes, that stops the board while no service is running."""
+    """Return the command, in backquotes, with which people stop the board while no service is running."""
     import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"

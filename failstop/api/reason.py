@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 LOOKED_AT = 1000
 """The most characters of a text that are used. A stop request has room for even fewer."""
 LONGEST_BITS = 64
-"""The longest integer that is shown, in bits. Python refuses to convert an integer with thousands of digits."""
+"""The longest integer that is converted to text, in bits. Python itself refuses to convert an integer with thousands of
+digits."""
 
 
 def plain(reason: object) -> tuple[str, bool]:
@@ -40,7 +41,7 @@ def own(reason: object) -> str:
 
 def _of_exception(reason: object) -> tuple[str, bool]:
     """Return (text, whole) as plain() does, from the class and the arguments of an exception. `whole` is False if the
-    exception has its own `__str__` or an object as an argument, because that text is still missing."""
+    exception has its own `__str__`, or if the text of an argument can't be made without calling the program's code."""
     kind = type(reason)
     arguments = BaseException.args.__get__(reason)  # type: ignore[attr-defined]  # whatever the class calls `args`
     told = [words for each in arguments if (words := _builtin(each)) is not None]
@@ -55,7 +56,8 @@ def _of_object(reason: object) -> tuple[str, bool]:
 
 
 def _builtin(value: Any) -> str | None:
-    """The text of a string, bytes, a number or None. Returns None for any other object."""
+    """The text of a string, bytes, a number or None. Returns None for any other object, and also for an int that is
+    longer than LONGEST_BITS or of a subclass of int."""
     kind = type(value)
     if value is None:
         return ""

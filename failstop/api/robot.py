@@ -1,5 +1,6 @@
-"""Robot and AsyncRobot: drive and stop a robot from Python. In Robot, a call that takes time blocks until it is done.
-In AsyncRobot, you await such a call. All other calls are the same in both. For example:
+"""Robot and AsyncRobot: drive and stop a robot from Python. Robot is for threads: its calls block until they are done.
+AsyncRobot is for asyncio: you await enable, disable, reset, limit_speed and wait_for, and drive never waits. For
+example:
 
     match robot.drive(0.2, 0.0, 0.0):
         case Preempted(by=who): print(who, "drives")
@@ -44,8 +45,8 @@ class Driving:
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
-    """The result of drive() if a source with a higher priority drives. The command that you sent then moves nothing. It
-    is not kept for later either, so keep sending commands."""
+    """The result of drive() if a source with a higher priority drives. Your command then moves nothing, and is not kept
+    for later. So keep sending commands."""
 
     by: str
     """The name and pid of the program that drives."""
@@ -74,8 +75,8 @@ Answer = Driving | Preempted | Blocked
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """Return (answer, final) for a command. `decided` is the gate's last decision, which the gate may have made before
-    it saw the command. `final` is False if the command could still change the answer. Pure."""
+    """Return (answer, final) for a command. `decided` is the gate's last decision. The gate may have made that decision
+    before it saw the command, so `final` is False if the gate's next decision could give another answer. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -120,17 +121,17 @@ class Calls(Session):
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
-        """Report that the obstacle sensor has just delivered a reading. Commands of programs move the wheels only while
-        a program calls sensed() at least every 0.5 s (setting scan.timeout_s). Otherwise the wheels are blocked with
-        `no scan`. Raises NoService."""
+        """Report that the obstacle sensor has just delivered a reading. Call this at least every 0.5 s (setting
+        scan.timeout_s). If no program does, commands without manual=True are blocked with `no scan`, unless the setting
+        scan.gate is "off". Raises NoService."""
         with self._lock:
             self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Report that these interlocks hold at this moment. Call this again before the timeout of any of them ends.
-        Each name must be in the settings, as [interlocks.NAME]. Motion can be enabled only while all interlocks in the
-        settings hold. If an interlock no longer holds, motion is disabled. Every call must name all interlocks that
-        your program reports. An interlock that a call leaves out counts as lost after its timeout.
+        """Report that these interlocks hold at this moment. Each name must be in the settings, as [interlocks.NAME]. An
+        interlock counts as lost if no call names it within its timeout, so call this again before the shortest timeout
+        ends. Name all interlocks of your program in every call, because the gate reads only the newest call. Motion can
+        be enabled only while all interlocks in the settings hold. When one is lost, motion is disabled.
 
         Raises Undeclared if one of these interlocks is not in the settings, and then reports none of them. Raises
         NoService when no service is running.
@@ -146,11 +147,11 @@ class Calls(Session):
         """Report that an operator is present. Repeat this about every 0.1 s. If the setting attend.required is "on",
         the robot moves only while an operator is present. `who` is the operator's name.
 
-        `proven_ns` is when the operator was certainly present (CLOCK_MONOTONIC, ns), by default now. For example, if
-        the operator answers a question of your program, pass the time of the question. An operator who was not reported
-        for attend.lease_s (1 s) counts as gone. When the last operator is gone, a stop is latched. An operator is also
-        gone after leave() and when your program ends. A Robot reports only one operator at a time, so if you pass a new
-        name, the previous operator counts as gone. Raises NoService.
+        `proven_ns` is a time at which the operator was certainly present (CLOCK_MONOTONIC, ns), by default now. For
+        example, if the operator answers a question of your program, pass the time of the question. An operator counts
+        as gone after attend.lease_s (1 s) without a report, after leave(), and when your program ends. A Robot reports
+        only one operator at a time, so if you pass a new name, the previous operator counts as gone. If motion is
+        enabled and needs an operator, a stop is latched when the last operator is gone. Raises NoService.
         """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
@@ -197,11 +198,10 @@ class Calls(Session):
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call, as Imu, Pad and Odometry samples with their times. Each sample is
-        returned only once. (Robot.state has only the newest sample of each type.) The collection starts with the first
-        call, so the first call returns no older samples. If the service restarts, the collection starts again with the
-        next call. Telemetry often reads several samples from the port together, and these have the same time. Raises
-        NoService, FailstopError."""
+        """The Imu and Pad samples since the last call, and the newest Odometry. Each sample has a time, and is returned
+        only once. The collection of Imu and Pad samples starts with the first call, so that call returns no earlier
+        ones. After a restart of the service, the collection starts again with the next call. Samples that telemetry
+        reads from the port together have the same time. Raises NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 
@@ -278,14 +278,14 @@ class AsyncRobot(Calls):
 class Robot(Calls):
     """A connection to the running service whose name is `name`. A Robot is a context manager.
 
-    Reading the state and estop() need no permission. For all other calls the Robot takes one of the service's client
-    slots when the first such call is made. To take a slot, the program's user must be in the group `failstop`, or be
-    the service's user.
+    Calls that only read the service's state or events need no permission, and neither does estop(). Any other call
+    needs one of the service's client slots. The Robot takes a slot at the first such call. To take a slot, the
+    program's user must be in the group `failstop`, or be the service's user.
 
     If the service is restarted, the next call uses the new run of the service. Motion is not enabled in a new run.
-    While no service is running, every call raises NoService. After close(), every call except estop() raises
-    FailstopError, in every thread. A Robot that is freed gives its slot back. In a forked child, the Robot takes a slot
-    of its own.
+    While no service is running, wait_for() keeps waiting, and the other calls raise NoService. After close(), calls
+    raise FailstopError, in every thread; only estop(), events() and close() still work. A Robot that is freed gives its
+    slot back. In a forked child, the Robot takes a slot of its own.
 
     Several threads may use one Robot. For the service it is one client, so the newest drive() counts, whichever thread
     has called it. A Robot that holds a slot has an extra thread, which only sleeps. When the program dies, the gate
@@ -318,10 +318,10 @@ class Robot(Calls):
         of its source (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
         clamped. After a restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
-        returns at once while this source drives, a stop is latched, or motion is disabled. Otherwise it waits for the
-        gate to let this source drive (0.3 ms on an idle machine), but at most `wait_s`. If this source was already
-        driving, or if `wait_s` is very short, the answer may still be about your previous command.
+        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. If this
+        source already drives, if a stop is latched, or if motion is disabled, drive() returns at once. If not, it waits
+        until the gate lets this source drive (0.3 ms on an idle machine), but at most `wait_s`. If this source was
+        already driving, or if `wait_s` is very short, the answer may still be about your previous command.
 
         `proven_ns` is the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
         The command's timeout counts from it. Pass it for commands that may be delayed, for example by a network. Pass
@@ -367,9 +367,9 @@ class Robot(Calls):
         program. A program that enables motion by itself drives off unattended when it is restarted after a crash.
 
         If the robot has an arm, the arm first moves to its drive pose, which takes seconds. `progress` is called with
-        each text about this move. arm.hold(), disable() or a stop ends the move. Raises Refused with the reason: a stop
-        is latched, the service is not ready, an interlock does not hold, or the robot was stopped after this call was
-        made.
+        each text about this move. arm.hold(), disable() or a stop ends the move, and motion stays disabled. Raises
+        Refused, with the reason in its text. For example, a stop is latched, the service is not ready, an interlock
+        does not hold, no operator is present, or the robot was stopped after this call was made.
         """
         return sleep_through(self._asking(records.ENABLE, progress))
 
@@ -381,8 +381,8 @@ class Robot(Calls):
         """Clear the latched stop. Motion stays disabled until enable(). If nothing is latched, this changes nothing.
         Raises Refused if the robot was stopped again after this call was made.
 
-        If a person looks at a State and then decides to reset, pass the `epoch` of that State as `seen`. A stop after
-        that State then also raises Refused.
+        If a person has decided on the reset by looking at a State, pass the `epoch` of that State as `seen`. reset()
+        then also raises Refused if the robot was stopped after that State was read.
         """
         return sleep_through(self._resetting(seen))
 

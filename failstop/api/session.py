@@ -30,13 +30,13 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""A call that takes time, as a generator. Whenever it must wait, it yields the number of seconds."""
+"""A call that takes time, as a generator. Whenever it must wait, it yields for how many seconds."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""The words that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched),
-enabled, disabled, latched (a stop is latched), clear (no stop is latched), moving (the gate commands a velocity),
-standing (the gate commands none), and still (since the last stop, the board's reports or the IMU have shown that the
-wheels are still)."""
+"""The words that `Robot.wait_for` accepts. ready: if a stop is latched, `reset()` would succeed; if none is, `enable()`
+would. enabled: motion is enabled. disabled: it is not. latched: a stop is latched. clear: none is. moving: the gate
+commands a velocity. standing: it commands none. still: the last stop has its third proof (`Stop.observed_s`), so the
+wheels were seen still."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
 """How long to wait for the answer to a request, in seconds. The gate normally answers within a tick."""
@@ -110,10 +110,11 @@ class Session:
         self._lock = threading.RLock()  # reentrant, because a signal handler may call a method that it has interrupted
         self._closed = False
         self._enabled = False
-        """True if this Robot has enabled motion, as far as it knows."""
+        """True if this Robot has enabled motion. If the answer to enable() does not arrive, this is True too, because
+        the gate may have enabled motion."""
         self._pending: tuple[int, object] | None = None
-        """Who waits for the gate's answer to a request: the thread's id, and an object for the task if only a task of
-        an event loop waits. None if nobody waits."""
+        """(thread, task) that waits for the gate's answer to a request. `thread` is the thread's id. `task` is an
+        object that stands for a task of an event loop, or None if the whole thread waits. None if nobody waits."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -137,10 +138,10 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot has enabled motion, and must disable it at its end. If this program has driven and now
-        dies of an exception, this is False, because then the gate disables motion and reports which driver has died.
-        But with the setting gate.driver_death = "stay" the gate does not disable motion, so this is True. Raises
-        FailstopError."""
+        """True if this Robot has enabled motion, and must disable it at its end. False if the gate does that: if a
+        program that has driven dies of an exception (`in_order` is False), the gate disables motion and reports which
+        driver has died, unless the setting gate.driver_death is "stay". Also False if the program has chosen
+        disable_on_exit=False. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -220,14 +221,14 @@ class Session:
         """Send one request to the gate, and wait for the answer.
 
         The gate keeps only the newest request of each client, so the requests of several threads or tasks are sent one
-        after the other. A long request, such as a move of the arm, lets other requests pass, because one of them may
-        end it.
+        after the other. While a long request such as a move of the arm is under way, other requests may be sent,
+        because one of them may be meant to end the move.
 
         `progress` is called with each text about the progress. `about`: the name of a record that must be written
         before the request, and then the values of that record. `asked_ns`: when the request was made, by default now.
-        If a stop comes while this request waits for its turn, the gate refuses the request, because the caller did not
-        know about that stop. `awaited`: True if only a task of an event loop waits; False if the whole thread waits,
-        with all tasks in it. Raises Refused, NoAnswer, NoService, FailstopError.
+        If a stop comes between that time and the answer, the service refuses a request that could start motion, and a
+        reset, because the caller did not know about that stop. `awaited`: True if only a task of an event loop waits;
+        False if the whole thread waits, with all tasks in it. Raises Refused, NoAnswer, NoService, FailstopError.
         """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
@@ -281,10 +282,11 @@ class Session:
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """Send a request, and return the client, the run and the request's number. Return None if a different thread or
-        task waits for an answer, so that this request must wait too. A signal handler's request need not wait for the
-        code that the handler has interrupted, because that code can't go on. For the same reason, a request that blocks
-        its whole thread need not wait for the tasks in that thread."""
+        """Send a request, and return the client, the run and the request's number. Return None if this request must
+        wait for its turn, because another thread or task is waiting for an answer. A request does not wait for code
+        that can't go on before the request is done. So the request of a signal handler does not wait for the code that
+        the handler has interrupted, and a request that blocks its whole thread does not wait for the tasks in that
+        thread."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending

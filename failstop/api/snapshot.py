@@ -25,8 +25,8 @@ class Block(enum.Enum):
     """Motion is disabled. It is disabled after every start of the service, after every stop, and whenever somebody
     disables it."""
     HELD = "let go first"
-    """A source was already commanding a velocity when motion was enabled, and has not paused since. To be safe, its
-    commands count only after it has sent zero or paused. For example, somebody must let go of the stick first."""
+    """A source was already commanding a velocity at the moment when motion was enabled. For safety, its commands count
+    only after it has sent zero or paused. For example, a person must let go of the stick first."""
     NO_COMMAND = "no command"
     """No source has sent a command recently, so every command has expired."""
     NO_SCAN = "no scan"
@@ -57,13 +57,13 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """One value for each wheel: its speed in rad/s, or how far it has turned in rad. Positive is forward. For three
-    omni wheels, positive turns the robot counter-clockwise."""
+    """One value for each wheel: its speed in rad/s, or how far it has turned in rad. A positive value means forward. On
+    a base with three omni wheels, a positive value turns the robot counter-clockwise."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the wheels, in the order of the values. For four wheels they are front_left, rear_left,
-        front_right, rear_right; for three left, rear, right; for two left, right."""
+        """The names of the wheels, in the order of the values. Four wheels: front_left, rear_left, front_right,
+        rear_right. Three wheels: left, rear, right. Two wheels: left, right."""
         return tuple(name.replace(" ", "_") for name in WHEEL_NAMES[len(self)])
 
     def __getattr__(self, name: str) -> float:
@@ -80,8 +80,9 @@ class Turning:
     """What the wheels do: turning, still, or unknown. It is unknown if there was no reading yet, or if the newest
     reading is more than half a second old."""
     by: Literal["", "IMU", "wheels"] = ""
-    """What has observed the wheels: `wheels` for the board's reports about them, or `IMU`. An IMU can't see the wheels.
-    It only feels that the robot moves, or that somebody moves it."""
+    """How `does` is known. `wheels`: the board reports about the wheels. `IMU`: the IMU feels whether the robot moves,
+    which does not show whether the wheels turn in the air, or whether somebody moves the robot. Empty if `does` is
+    unknown."""
     unexpected: bool = False
     """True if the wheels still turn although zero was commanded longer ago than the setting `still.after_s`."""
     since_s: float | None = None
@@ -95,7 +96,7 @@ class Turning:
     not report speeds."""
     turned_rad: Wheels | None = None
     """How far each wheel has turned since the first report, in rad, positive forward. If the board reports only speeds,
-    this is added up from the speeds. None if it reports neither turns nor speeds."""
+    the turns are computed from the speeds. None if the board reports neither."""
 
 
 OLD_S = 10.0
@@ -126,9 +127,9 @@ class Scale:
     capped: str = ""
     """Says that speeds are capped, and how to end that. Empty once a person has confirmed board.per_rps."""
     wheels: float | None = None
-    """Measured wheel speed divided by commanded wheel speed. None if not known. It can be known only if the board
-    reports speeds in a different unit than the one for commands. If both have the same unit, this ratio would not show
-    that the scale is wrong."""
+    """Measured wheel speed divided by commanded wheel speed. None if not known, and always None if the board reports
+    speeds in the same unit in which they are commanded. The ratio would then be right even with a wrong
+    board.per_rps."""
     turn: float | None = None
     """The robot's turn rate as the gyro measures it, divided by the commanded turn rate. None if not known."""
     wrong: tuple[str, ...] = ()
@@ -155,20 +156,20 @@ class Stop:
     written_by: str
     """The process that wrote the stop to the board."""
     written_s: float | None
-    """The first proof: how long it took from noticing the cause until the kernel had the bytes of the stop, in s. None
-    if they could not be written."""
+    """The first proof: the time from when the cause was noticed until the kernel had the bytes of the stop, in s. None
+    if the bytes could not be written."""
     acknowledged_s: float | None
-    """The second proof: how long it took from noticing the cause until the board acknowledged the stop, in s. A board
-    acknowledges a stop by answering a ping that was written after the stop, or by reporting that the board now obeys
-    the stop."""
+    """The second proof: the time from when the cause was noticed until the board acknowledged the stop, in s. A board
+    acknowledges a stop in one of two ways (`acknowledged_by`): it answers a ping that was written after the stop, or it
+    reports that it now obeys the stop."""
     observed_s: float | None
-    """The third proof: how long it took from noticing the cause until the wheels were seen still, in s. 0 if the wheels
+    """The third proof: the time from when the cause was noticed until the wheels were seen still, in s. 0 if the wheels
     were already seen still before the stop."""
     epoch: int = 0
-    """The number of the epoch that began with this stop. A request for a stop is answered by the first stop whose epoch
-    is higher than the epoch at the time of the request."""
+    """The number of the epoch that began with this stop. To wait for a stop that you request, remember `State.epoch`
+    before the request, and wait for a stop with a higher epoch."""
     sent: bool = True
-    """False if the board accepts no bytes, so that the bytes of the stop are still in the kernel."""
+    """False if the bytes of the stop are still in the kernel, because the board accepts no bytes."""
     acknowledged_by: str = "answer"
     """How this board acknowledges a stop: `answer` (the board answers pings), `echo` (the board reports which command
     it obeys), or empty (this board never acknowledges a stop)."""
@@ -189,9 +190,9 @@ class Process:
     pid: int
     """The pid of the process. 0 while the process does not exist, for example before it is started again."""
     state: str
-    """What it does: starting, running, hanging, suspended (by a signal), fenced (killed because it hung, but the kernel
-    has not ended it yet), dead, waiting (to be started), down (it has died too often, so it is started again only after
-    a pause or a reset), or stopping."""
+    """What the process does: starting, running, hanging, suspended, fenced, dead, waiting, down or stopping. suspended:
+    by a signal. fenced: killed because it hung, but the kernel has not ended it yet. waiting: it will be started. down:
+    it has died too often, so it is started again only after a pause or a reset."""
     age_s: float
     """The time since its last heartbeat, in s. Before the first heartbeat, it is the time since the beginning of the
     run."""
@@ -207,13 +208,13 @@ class Process:
     memory_locked: bool
     """True if its memory can't be swapped out."""
     early_news: bool = True
-    """True if the kernel reports the death of another process to this process early, before it frees the memory of the
-    dead process."""
+    """True if this process learns of the death of another process early, which means before the kernel frees the memory
+    of the dead process."""
     killed: bool = False
-    """True if the process that `last_exit` is about was killed by a signal."""
+    """True if the previous process with this name (see `last_exit`) was killed by a signal."""
     starts_in_s: float | None = None
-    """In how many seconds the process will be started again. None if the process is running, or if it is started only
-    after a reset."""
+    """The time until the process is started again, in s. None if no start is planned, for example because the process
+    is running, or because only a reset starts it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,12 +226,12 @@ class Device:
     state: Literal["closed", "open", "lost"]
     """closed, open, or lost (the board was unplugged)."""
     link: Literal["unproven", "alive", "deaf", "silent", "unheard", "unasked"]
-    """The connection to the board. alive: the board answers. unproven: it has not answered yet. deaf: it does not hear.
-    silent: it has stopped sending anything. unheard: it has not answered since it was plugged in again. unasked: this
-    kind of board never answers."""
+    """What is known about the connection to the board. unproven: the board has not answered yet. alive: the board
+    answers. deaf: the board does not hear. silent: the board has stopped sending anything. unheard: the board was
+    plugged in again, and has not answered since. unasked: this kind of board never answers."""
     watchdog_s: float = 0.0
-    """How long after the last frame the board's own watchdog acts, in s. 0 if the board has no watchdog, or if that
-    time is not known."""
+    """The time from the last motion frame until the board's own watchdog acts, in s. 0 if the board has no watchdog, or
+    if this time is not known."""
     watchdog_does: str = ""
     """What the watchdog does. `zero`: it stops the wheels. `coast`: the wheels roll on without current. `disarm`: the
     wheels stop, and the board accepts no motion until it is armed again. Empty if the board has no watchdog, or if it
@@ -238,8 +239,8 @@ class Device:
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """How long the board has been reporting that it obeys zero speed although motion is commanded, in s. None if it
-    does not report this."""
+    """If motion is commanded but the board reports that it obeys a speed of zero: for how long it has reported this, in
+    s. Otherwise None."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -286,8 +287,8 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The longest time for which the machine was too busy to run a process of the service. Such a time stops the robot
-    if motion is enabled. The values are kept until the machine has run every process in time for ten minutes."""
+    """The longest time for which the machine was too busy to run a process of the service. If motion is enabled at such
+    a time, the robot is stopped. These values are shown until no such time has come for ten minutes."""
 
     longest_s: float
     """For how long the machine did not run the process, in s."""
@@ -307,7 +308,8 @@ class GyroBias:
     tracking: bool
     """True if the bias is being updated from the gyro's readings at present."""
     calibrated: bool
-    """True if the robot was at rest long enough after the service was started to measure the bias."""
+    """True if the bias was measured after the service was started, which needs a robot that stays at rest for long
+    enough."""
 
 
 class Imu(NamedTuple):
@@ -327,17 +329,17 @@ DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, r
 
 
 class Odometry(NamedTuple):
-    """The robot's pose relative to where the service was started, and the robot's velocity. If the board reports how
-    far the wheels have turned, pose and velocity are computed from these reports. If not, they are computed from the
-    commands."""
+    """The robot's pose and velocity. The pose is relative to where the robot was when the service was started. Both are
+    computed from the board's reports about how far the wheels have turned, or if the board sends no such reports, from
+    the commands (see `source`)."""
 
     t_ns: int
-    """The time of the pose (CLOCK_MONOTONIC, ns). If the pose comes from the board's reports, it is the time of the
-    newest report."""
+    """The time of the pose (CLOCK_MONOTONIC, ns). If the pose is computed from the board's reports, this is the time of
+    the newest report."""
     x_m: float
-    """How far the robot has moved in the direction that was forward when the service was started, m."""
+    """The position, m, along the direction in which the robot pointed when the service was started."""
     y_m: float
-    """How far the robot has moved in the direction that was left when the service was started, m."""
+    """The position, m, along the direction that was to the left of the robot when the service was started."""
     th_rad: float
     """How far the robot has turned since the service was started, rad counter-clockwise."""
     vx_mps: float
@@ -355,9 +357,9 @@ class Odometry(NamedTuple):
     turned. `commands`: the board reports nothing about the wheels, so the pose is computed from the commands and does
     not show what the wheels really did."""
     pose_covariance: tuple[float, ...] = DEAD_RECKONING
-    """Covariance of x, y (m2) and th (rad2), in the order xx, xy, x th, yy, y th, th th. If the pose comes from the
-    wheels, it grows with the distance. If the pose comes from commands, it is huge, because nobody should trust such a
-    pose."""
+    """Covariance of x, y (m2) and th (rad2), in the order xx, xy, x th, yy, y th, th th. With the source `wheels`, the
+    covariance grows with the distance. With the source `commands`, the covariance is huge, because nobody should trust
+    such a pose."""
 
     @property
     def pose_variance(self) -> float:
@@ -407,8 +409,8 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where the joint is, as far as that is known, rad. This is the commanded angle, because a servo is not asked
-        for its position while it moves. If no angle was commanded, this is the measured angle."""
+        """The best known angle of the joint, rad. If an angle is commanded, it is the commanded angle, because a servo
+        is not asked for its position while it moves. If not, it is the measured angle. None if neither is known."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
@@ -419,7 +421,8 @@ class ArmState:
     mode: str
     """How the arm is being moved: trajectory, follow or jog. Empty if it is not being moved."""
     phase: str
-    """How far a trajectory has come, in words."""
+    """What the arm does at present for its trajectory, in words, for example settling. Empty if the arm follows no
+    trajectory."""
     moving: bool
     """True if the arm is moving."""
     by: str
@@ -455,10 +458,11 @@ class State:
     estop: str | None
     """The text of `cause`. None if no stop is latched."""
     cause: Cause | None
-    """The cause of the latched stop. If the robot was stopped several times since the last reset, this is the cause of
-    the first stop. None if no stop is latched."""
+    """The cause of the latched stop; None if no stop is latched. If the robot was stopped more than once since the last
+    reset, this is the cause of the first of these stops."""
     blocked: str | None
-    """Why the wheels may not turn, in the gate's words. None when they may turn. In programs use `block` instead."""
+    """Why the wheels may not turn, in the gate's words. None if they may turn. Programs should use `block`, which has
+    fixed values."""
     body_vel: Velocity
     """The velocity that the gate commands."""
     wheels_radps: Wheels
@@ -466,8 +470,8 @@ class State:
     epoch: int
     """A number that gets higher with every stop."""
     waiting_for: str | None
-    """What motion is waiting for, for example the board. Motion can't be enabled until it is ready. None if everything
-    is ready."""
+    """What is not ready yet, for example the board. Until it is ready, motion can't be enabled. None if everything is
+    ready."""
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
@@ -493,11 +497,11 @@ class State:
     pad_mode: PadMode | None
     """What the gamepad moves. None if no frame of a gamepad was received yet."""
     battery_v: float | None
-    """The battery's voltage, V. None before the first reading, and while the board reports no battery or an impossible
-    voltage."""
+    """The battery's voltage, V. None if it was not read yet, if the board reports no battery, or if the board reports
+    an impossible voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
-    """plugged if a charger is plugged in, unplugged if not, else unknown. failstop concludes this from jumps of the
-    battery's voltage."""
+    """plugged: a charger is plugged in. unplugged: none is. unknown: the battery's voltage has not shown it. failstop
+    concludes this from jumps of the battery's voltage."""
     age_s: float
     """The age of the gate's record, in s. The gate publishes at least every 0.08 s."""
     speed_limit: float = 1.0
@@ -505,15 +509,15 @@ class State:
     attended_by: tuple[str, ...] | None = None
     """The operators who are present. None if the robot needs no operator (setting attend.required)."""
     arm: ArmState | None = None
-    """The state of the arm. None if the settings have no arm, and also while the service starts, until the gate has
-    reported the arm."""
+    """The state of the arm. None if the settings have no arm, or if the service is just starting and the gate has not
+    reported the arm yet."""
     unmet: str = ""
     """Why an interlock does not hold, as a text. Empty if all interlocks in the settings hold."""
     starved_times: int = 0
     """How many times in this run the machine was too busy to run a process of the service (see `starved`)."""
     lease_s: float = 0.06
-    """How long the gate or the supervisor may be silent while the wheels turn before the robot is stopped, in s. This
-    is the setting gate.lease_s, whose default is longer without real-time rights."""
+    """How long the gate or the supervisor may be silent while the wheels turn, in s. After a longer silence, the robot
+    is stopped. This is the setting gate.lease_s. Its default is longer if the service has no real-time rights."""
     steering_rad: float | None = None
     """The commanded angle of the steered wheels, rad, positive to the left. None if the robot has no steering or is at
     rest."""
@@ -525,8 +529,8 @@ class State:
     turning: Turning = Turning()
     """What is known about the wheels at present. It comes from observation, not from what was commanded."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while motion is disabled. If motion is disabled and enabled
-    again between two snapshots, the second snapshot has a later time, so you notice it."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while motion is disabled. If two snapshots have different times
+    (and neither is 0), motion was disabled between them."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """For each servo, its load and its temperature in degrees C. The keys name the part that the servo turns, such as a
     wheel. The load is a signed share of the servo's largest load."""
@@ -554,15 +558,14 @@ class State:
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """True if a reading of this age is fresh enough to describe the present. Always False while the port is not
-        open, and while the board sends nothing."""
+        """True if a reading of this age describes the present, because it is fresh, the port is open, and the board
+        still sends something."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:
-        """The source that drives at present: its commands count, even if they command zero. None if no source
-        drives."""
+        """The source whose commands count at present, even if they command zero. None if no source drives."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:

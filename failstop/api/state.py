@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""How many of each unit are one second. In a record, the name of a time ends with its unit, for example
-`written_ms`."""
+"""The units of times in records, each with how many of it make one second. The name of a time ends with its unit, for
+example `written_ms`."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -46,8 +46,8 @@ STANDING: dict[str, Any] = {
 }
 """The values in the gate's record while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
-"""The values of the gate's record until the gate has published its first one in this run. A run begins with motion
-disabled."""
+"""The values that are used instead of the gate's record before the gate has published its first record in this run.
+They say that motion is disabled, as it is at the beginning of every run."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
     "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
@@ -125,8 +125,8 @@ class StateReader(SeenRun):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """The board's reports since the last call of samples(), in order, and the newest odometry if it has changed
-        since that call."""
+        """The samples from the board's reports since the last call, in order. The newest odometry follows, if it has
+        changed since the last call."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -152,8 +152,8 @@ class StateReader(SeenRun):
 
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
-        """For each wheel, the index of its speed in the gate's record, and the factor that converts this speed to
-        rad/s, positive forward."""
+        """(index, factor) for each wheel. `index`: where the wheel's speed is in the gate's record. `factor`: the speed
+        times this factor is in rad/s, positive forward."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     @cached_property
@@ -174,9 +174,9 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """The commanded angle of the steered wheels. The gate publishes it after the speeds, as the last value of
-        `speeds`. None on a base without steering. Also None at rest, because the gate's angle means nothing while no
-        wheel turns."""
+        """The commanded angle of the steered wheels, which is the last value of `speeds`, after the speeds of the
+        wheels. None on a base without steering. Also None if no wheel is commanded to turn, because the angle means
+        nothing then."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
@@ -260,14 +260,16 @@ class StateReader(SeenRun):
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
-        """Read only the part of the state that drive() needs, because a program calls drive() very often. Returns the
-        gate's decision; the cause of the latched stop, or None; the epoch; when the gate published its decision; and
-        True if the supervisor is dead. Until the gate has published its first decision, motion counts as disabled since
-        the start of the run. Raises FailstopError.
+        """Read only the part of the state that drive() needs, because a program calls drive() very often. Returns five
+        values: the gate's decision; the cause of the latched stop (None if no stop is latched); the epoch; when the
+        gate published its decision (ns); and True if the supervisor is dead. If the gate has not published a decision
+        in this run yet, the decision is that motion is disabled, and its time is the start of the run. Raises
+        FailstopError.
 
-        A latched stop counts at once, also while the gate has not reacted to it. For example, the gate may hang, or may
-        have just died. The port owner accepts no frames from an older epoch, and the next gate starts with the latched
-        stop. The death or the silence of the supervisor also counts as a stop here, whatever the gate publishes.
+        A latched stop counts here at once, even if the gate has not reacted to it, for example because the gate hangs.
+        This is correct, because the port owner refuses motion frames from before the stop, and a new gate begins with
+        the latched stop. The death or the silence of the supervisor also counts as a stop here, whatever the gate
+        publishes.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
@@ -305,14 +307,15 @@ class StateReader(SeenRun):
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
         """Return three values: after how many seconds the board's own watchdog acts, what the watchdog does, and True
-        if the robot has an IMU. The watchdog is not known for a board that a user's own code describes, because a
+        if the robot has an IMU. If the user's own code describes the board, its watchdog is not known here, because a
         client does not run that code."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died, so that nobody
-        updates its table. The gate and telemetry die with it, and the other two processes end soon."""
+        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. Nobody updates
+        its table any more, but the states are known: the gate and telemetry die with the supervisor, and the other two
+        processes end soon."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():

@@ -29,12 +29,14 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""The kinds of steps that must be done before a reset or an enable, because the service refuses it until then."""
+"""For a reset and for an enable, the purposes of the steps that must be done first. Until then, the service refuses the
+request."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"
-"""The end of some steps' texts. It is there for a program that never pauses. If such a program was already commanding a
-velocity when motion was enabled, it can't drive until it is ended and started again."""
+"""The end of some steps' texts, for a program that never pauses. A program that was already commanding a velocity at
+the moment when motion was enabled must pause before it can drive. If it never pauses, people must end it and start it
+again."""
 LET_GO = "let go of the stick, then push it again"
 SENSOR = (
     "start the obstacle sensor and the program that calls robot.sensed(); without an obstacle sensor, set "
@@ -50,11 +52,12 @@ class Step(NamedTuple):
     """The text for a terminal, with commands in backquotes."""
     clause: str | None = None
     """The text for the web page, which names the page's buttons. Empty if the page shows no text for this step. None if
-    the page shows `typed`."""
+    the page shows the text of `typed`; todo() puts that text here."""
 
     @property
     def pressed(self) -> str:
-        """The step as a sentence for the web page. Empty if `clause` is empty or None."""
+        """The step as a sentence for the web page. Empty if the page shows no text for this step. Not for a step whose
+        `clause` is None."""
         return words.sentence(self.clause) if self.clause else ""
 
 
@@ -160,8 +163,9 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
 
 
 def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) -> list[Step]:
-    """The steps that are needed, in order. Empty while the wheels move. `known`: True if the reader already knows which
-    interlock does not hold. `how`: the texts for the page, which are HERE, BY_STICK or ELSEWHERE."""
+    """The steps that are needed, in order. Empty while a velocity is commanded and nothing blocks the wheels. `how`:
+    the texts for the page, which are HERE, BY_STICK or ELSEWHERE. `known`: True if the reader already knows which
+    interlock does not hold."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, known, how)]
@@ -182,8 +186,9 @@ def line(state: State) -> str:
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
-    """The first step, as a sentence for the page. Empty if no step is needed. If a stop may not have reached the board,
-    the sentence is about the power switch, unless the first step has the purpose MEND or POWER."""
+    """One sentence for the page: what to do first. Normally it is the first step. But if a stop may not have reached
+    the board, and the first step neither mends the service or the port nor uses the power switch, the sentence tells
+    people to use the power switch. Empty if nothing needs to be done."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state, events) and not sure:
@@ -197,7 +202,7 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
-    """The next steps after a reset or an enable was refused, in one line. Empty if the state no longer shows a
-    reason for a refusal; then people can simply repeat the request. `known`: True if an interlock was the reason for
-    the refusal, so the reader already knows which interlock."""
+    """The next steps after a reset or an enable was refused, in one line. Empty if the state no longer shows a reason
+    for a refusal, so that people can simply repeat the request. `known`: True if the refusal has already told the
+    reader which interlock does not hold."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

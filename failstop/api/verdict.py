@@ -34,8 +34,8 @@ NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """A text for each state of the connection to the board."""
 UNHEEDED_S = 0.5
-"""If the board reports zero speed for this long, in s, although motion is commanded, it does not obey. A shorter
-time proves nothing, because the reports come every 100 ms or a little faster, and an adapter may delay a command."""
+"""In s. A board that has reported zero speed for this long although motion is commanded does not obey. A shorter time
+proves nothing, because the reports come only about every 100 ms, and an adapter may delay a command."""
 STALE_S = 0.5
 """The age after which a decision of the gate says nothing about the wheels any more, in s. The gate normally publishes
 every 80 ms."""
@@ -105,15 +105,15 @@ def doubt(state: State) -> str:
 
 
 def unseen(state: State) -> str:
-    """What people must know about the wheels in addition to word(). For example, the wheels still turn, or nothing
-    shows what they do. Empty if word() says enough, or if doubt() has a text."""
+    """What people must know about the wheels in addition to word(), for example that nothing shows what the wheels do.
+    Empty if word() says enough, or if doubt() has a text."""
     found = row(state)
     return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
-    """Why nobody can rely on what word() says. Either the board has never answered, or it reports zero speed although
-    motion is commanded. Empty if neither is so, and also if doubt() has a text."""
+    """Why nobody can rely on what word() says: the board has never answered, or it reports zero speed although motion
+    is commanded. Empty if neither is the case, or if doubt() has a text."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -144,8 +144,9 @@ def proven_word(state: State) -> str:
 
 
 def large_word(state: State, events: Sequence[Event] = ()) -> str:
-    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move. About a
-    stop it says no more than is proven."""
+    """The word for a screen that people read from a distance. If the wheels turn or may turn although nobody wants
+    that, the word says so. If motion is enabled, it says that the robot moves or can move. If not, it says what is
+    proven about the stopped wheels."""
     found = row(state)
     if found.alarm:
         return found.large
@@ -155,9 +156,10 @@ def large_word(state: State, events: Sequence[Event] = ()) -> str:
 
 
 def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
-    """What is proven about stopped wheels, in a word. If they were stopped again without a latch after the last stop,
-    the proofs of the last stop say nothing about them, so only what is seen counts. Bytes that are still in the kernel
-    prove nothing about the board, and an IMU that felt nothing proves nothing about the wheels."""
+    """What is proven about stopped wheels, in a word. `seen`: the word for what is seen. The proofs are those of the
+    last latched stop. If the wheels were stopped later without a latch, these proofs do not count, but only what is
+    seen. Bytes that are still in the kernel prove nothing about the board. An IMU that felt no movement before the stop
+    proves nothing about the wheels."""
     stop = state.last_stop
     if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen
@@ -168,7 +170,7 @@ def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
 
 
 def unanswered(state: State, events: Sequence[Event] = ()) -> bool:
-    """True while a stop may not have reached the board, or was written to a board that has never answered."""
+    """True if a stop may not have reached the board, or if it was written to a board that has never answered."""
     word = large_word(state, events)
     return word == WHEELS_MAY_TURN or (word == WRITTEN and state.device.link == "unproven")
 
@@ -190,8 +192,8 @@ def down(state: State) -> list[str]:
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """The end of a sentence about a process that does not work. It says why, and when the process will start again.
-    `ended`: a clause about how the previous process with the same name ended."""
+    """The end of a sentence about a process that is not running as it should. It says what the process does instead,
+    and when it will start again. `ended`: a clause about how the previous process with the same name ended."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -216,15 +218,15 @@ def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
-    """The event about a driver that stopped driving while the wheels turned. None if there is no such event, or if it
-    is out of date because of a later event, such as a stop or a new enable."""
+    """The newest event about a driver that stopped driving while the wheels turned. None if there is no such event, or
+    if a later event, such as a stop or a new enable, has made it out of date."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
 
 def unlatched(state: State, events: Sequence[Event]) -> Event | None:
-    """The event that stopped the wheels last, if that was no latched stop: a driver died or fell silent, or motion was
-    disabled. None while a stop is latched, and if a latched stop came later."""
+    """The event that last stopped the wheels, if it latched no stop: a driver died or fell silent, or motion was
+    disabled. None if a latched stop was the last to stop the wheels, or if a stop is latched now."""
     stop, last = state.last_stop, newest(events, HALTS)
     if state.cause or last is None or last.kind not in UNLATCHED:
         return None
@@ -232,9 +234,9 @@ def unlatched(state: State, events: Sequence[Event]) -> Event | None:
 
 
 def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
-    """Return the state without an observation that is too old to show that a stop has worked. If the wheels were seen
-    still only before they were stopped, `turning.does` is unknown in the result. The IMU judges a window of half a
-    second, and the whole window must be after the stop. `now_s`: Unix time."""
+    """Return the state without an observation that does not show whether the last stop has worked. If the wheels were
+    seen still only before they were stopped, `turning.does` is unknown in the result. The IMU's observation covers half
+    a second, so all of that half second must be after the stop. `now_s`: Unix time."""
     known, stop, event = state.turning, state.last_stop, unlatched(state, events)
     told_s = event.t if event else stop.t if stop else None
     if known.does != "still" or told_s is None:
@@ -247,8 +249,8 @@ def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """For each process, a clause about how the previous process with the same name ended. If the supervisor killed the
-    previous process because it hung, the clause says so, because the exit status alone would not show that."""
+    """For each process, a clause about how the previous process with the same name ended. If that one hung and the
+    supervisor killed it, the clause says so, which the exit status alone does not show."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"
-"""Motion is enabled, zero is commanded, and nothing moves as far as is known."""
+"""Used instead of STOPPED if the wheels may turn: zero is commanded, and they are seen to be still."""
 STOPPED = "STOPPED"
 """Zero is commanded, and the wheels are seen to be still."""
 STOPPING = "STOPPING"
@@ -32,7 +32,8 @@ MOVED = "MOVED"
 """The IMU feels that the robot moves, although zero is commanded or commands may not reach the board. The robot moves
 by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
-"""A stop may not have reached the wheels, or they were turning at the newest reading, which is too old to rely on."""
+"""A stop may not have reached the wheels, or the newest reading showed that they turn, but that reading is too old to
+rely on."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
 """These words are used only on a screen that people read from a distance. Such a screen also uses STOPPED, STOPPING and
@@ -97,8 +98,8 @@ TABLE: dict[tuple[Commanded, Seen], Row] = {
     (Commanded.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
     (Commanded.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
 }
-"""What a screen may say for each combination of command and observation. Seen.UNSEEN is for a robot without an IMU
-whose board reports nothing about the wheels. That alone is not an alarm."""
+"""What a screen may say for each combination of command and observation. Seen.UNSEEN is for a robot that can't observe
+its wheels: it has no IMU, and its board reports nothing about the wheels. That alone is no reason for an alarm."""
 
 SEEN = {
     Seen.TURN: "the wheels turn",

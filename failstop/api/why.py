@@ -36,9 +36,9 @@ class Why:
     """Why the wheels are stopped, and since when. If nothing stops them, it says which velocity is commanded, and by
     which program."""
     proof: str
-    """What proves that the wheels are stopped. It says how long it took until the stop was written, acknowledged and
-    observed, which is known only for latched stops. Then it says what is observed at present, with the age of the
-    reading."""
+    """What proves that the wheels are stopped. If a latched stop has stopped them, it says how long it took until that
+    stop was written, acknowledged and observed; other stops are not timed. At the end it says what is observed at
+    present, with the age of the reading."""
     do: tuple[str, ...]
     """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
     also: tuple[str, ...]
@@ -73,7 +73,8 @@ HOLDS = {
 }
 """Two texts for each block: one for a terminal, and a sentence for the web page."""
 SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
-"""The text for a block if the time at which it began is known. The word "since" and that time follow the text."""
+"""The texts that are used for a block if it is known when the block began. The word "since" and the time follow the
+text."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
 """The blocks in which the wheels wait for a client, such as a driving program. The lines that clients report with say()
 may explain these blocks."""
@@ -169,9 +170,9 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """What proves that the wheels are stopped, as text. If a stop is the reason why they are stopped, the text gives
-    the proofs of that stop. If not, it says only what the board's answers prove, because the times of an earlier stop
-    prove nothing about the present."""
+    """What proves that the wheels are stopped, as text. If the last latched stop is the reason why they are stopped,
+    the text gives the proofs of that stop. If not, those proofs say nothing about the present, so the text says only
+    what the board's answers prove."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -186,8 +187,8 @@ def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
 
 
 def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
-    """True if this stop is the reason why the wheels are stopped. A latched stop is the reason. A stop that is no
-    longer latched is still the reason if nothing has enabled or disabled motion after that stop."""
+    """True if this stop is the reason why the wheels are stopped. This is so while the stop is latched, and also after
+    its reset, until something enables or disables motion."""
     if state.block is not Block.DISABLED:
         return stop.cause == state.cause
     change = verdict.newest(events, verdict.CHANGES)
@@ -195,10 +196,10 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """The three proofs of a stop, each as text with True (proven) or False (not proven). None means that no proof is
-    possible, because the wheels were already still before the stop, because nothing observes them, or because this
-    board never acknowledges a stop. If the stop could not be written, the list has only one text, which says so.
-    `link`: the state of the connection to the board."""
+    """The three proofs of a stop, each as (text, proven). `proven` is True, False, or None if no proof is possible: the
+    wheels were already still before the stop, nothing observes the wheels, or this board never acknowledges a stop. If
+    the stop could not be written, the list has only one text, which says so. `link`: the state of the connection to the
+    board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -225,8 +226,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Faults other than the reason for the stop, in words. They include what clients report as wrong, and also what
-    clients see while the wheels wait for a client."""
+    """Faults other than the reason for the stop, in words. They include what clients report as wrong. While the wheels
+    wait for a client (WAITS), they also include what clients see."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

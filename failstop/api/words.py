@@ -15,8 +15,8 @@ DAY_S = 86400.0
 OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
-"""The most that two clocks of one computer drift apart, as a share of the elapsed time. If they differ by more,
-somebody has set one of them."""
+"""How far two clocks of one computer drift apart at most, as a share of the elapsed time. If they differ by more, a
+clock was set."""
 GUARDED = "uses the guard port "
 """How the guard's report about a driver begins; the path of the port follows."""
 ON_PAGE = "(page)"
@@ -84,8 +84,8 @@ their battery only once per second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """The age of a reading as text to put after it, for example `, 12 s ago`. Empty if the reading is fresh and the
-    board still sends reports (`current`)."""
+    """The age of a reading, as text that is put after the reading, for example `, 12 s ago`. Empty if the age is not
+    known, or if the reading is younger than AGED_S and the board still sends reports (`current`)."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 
@@ -120,8 +120,8 @@ def took(seconds: float) -> str:
 
 
 def named(text: str, name: str) -> str:
-    """Add the option with the service's name to each failstop command in backquotes, because a computer may have
-    several services. The default service needs no option."""
+    """Add `--name` with the service's name to each failstop command in backquotes, because a computer may have several
+    services. For the default service, nothing is added."""
     import re  # imported only here, because the incident saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)

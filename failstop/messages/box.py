@@ -22,8 +22,8 @@ SECONDS = 60
 GATE_CELLS = 3072
 """How many entries the gate's ring holds. The gate adds 50 entries per second, one in each of its ticks."""
 WIRE_CELLS = 4096
-"""How many entries the ring of bytes for the board holds. Each second there are up to 50 motion frames, 2 pings and a
-few stops. A client that drives at 100 Hz fills the ring in 40 s."""
+"""How many entries the ring of bytes for the board holds. Normally there are at most 50 motion frames, 2 pings and a
+few stops per second. If a client drives at 100 Hz, there are 100 motion frames, so the ring covers only 40 s."""
 BOARD_CELLS = 8192
 """How many entries the ring of the board's reports holds. Each second there are 110 IMU samples, 20 gamepad frames and
 one battery reading."""
@@ -49,19 +49,19 @@ DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
 """The gate's possible decisions. Each entry in the gate's ring has the index of the decision in this tuple."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
-"""Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person drives. DRIVES: the newest command moves the
-wheels, because no source with a higher priority has taken over."""
+"""Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person has sent the newest command. DRIVES: the newest
+command is the one that drives."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
-"""Kinds of entries about bytes for the board. WIRE_BURST: a stop burst. WIRE_FRAME: one frame, with its first bytes.
-WIRE_REST: the remaining bytes, if the kernel took only a part of a burst or frame at first."""
+"""Kinds of entries about bytes for the board. WIRE_BURST: a stop burst. WIRE_FRAME: one frame; the entry has its first
+bytes. WIRE_REST: the remaining bytes of a burst or frame of which the kernel first took only a part."""
 WIRE_HEAD = 39
 """How many bytes of each frame are kept. A motor frame for four wheels has 27 bytes, and steering adds at most 12."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""The ways to move the arm. An entry with the empty text means that nobody has moved the arm since that entry."""
+"""The ways to move the arm. Empty: nothing moves the arm from that entry on, until the next entry."""
 
 SILENCES = 1
 OWN_BURST = 2
@@ -70,8 +70,8 @@ burst, on its own descriptor. Such an entry has only its time, and no values."""
 MOST_U32 = 0xFFFFFFFF
 
 MOST_SPEEDS = 5
-"""The most speeds that a frame for the board has. On a steered base, the last speed in a frame is not a speed, but the
-steering angle in rad."""
+"""The most numbers that a frame for the board has: a speed for each of four wheels, and on a steered base the steering
+angle in rad as the last number."""
 TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
 """One tick of the gate, with the values that unpack_gate() describes. The entry always has room for MOST_SPEEDS speeds,
 so the same layout fits every board. It also has the number of speeds that are used."""
@@ -85,9 +85,9 @@ REPORTS: dict[int, Shape] = {
     SERVO_KIND: records.SERVO,
     WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
-"""The shapes of the board's reports, as telemetry has decoded them. The first byte of an entry is the kind of report.
-The values of an IMU sample are the ones that telemetry also publishes to the other processes. Wheel speeds are in turns
-per second, by wire id (NaN if not reported)."""
+"""The shape of each kind of report from the board, after telemetry has decoded it. In an entry, a byte with the kind
+comes first. An IMU sample has the same values as the record `imu` of telemetry. WHEELS_KIND has the speed of each wheel
+in turns per second, by wire id (NaN if not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -120,8 +120,8 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
     """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo: the servo's id and
-    its aim. In the mode follow, the aim is the position that the client wants at present, in pulses. In the mode jog,
-    it is a rate in pulses/s. Otherwise it is the last position of the trajectory, in pulses."""
+    its aim. With the mode follow, the aim is the position that the client wants at present, in pulses. With jog, the
+    aim is a rate in pulses/s. With trajectory, the aim is the last position of the trajectory, in pulses."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
@@ -139,9 +139,9 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """Make an entry about heartbeats. For each process of layout.PROCESS_NAMES, `silent_us` has the longest time
-    without a heartbeat since the previous entry, and `before_us` says how long ago that silence was. Both are in
-    microseconds."""
+    """Make an entry about heartbeats. Both lists have a time in microseconds for each process of layout.PROCESS_NAMES.
+    `silent_us`: the longest time without a heartbeat since the previous entry. `before_us`: how long before this entry
+    that silence was."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 

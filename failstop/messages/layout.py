@@ -27,7 +27,8 @@ CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The longest note that the gate or telemetry sends (packing.py), in bytes."""
 PINGS = 4
-"""The most pings that a kind of board can have. They must differ, so that an answer shows which ping it belongs to."""
+"""The most different pings that a kind of board can have. They differ so that an answer shows which ping it belongs
+to."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
@@ -212,13 +213,14 @@ _TEXT = f"layout {LAYOUT_VERSION}\n" + "\n".join(
     for r in spec.records.values()
 )
 LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
-"""A hash of all declarations above. Processes with different hashes refuse to work together. Raise LAYOUT_VERSION if
-the format of a payload in records.py changes but no size changes."""
+"""A hash of all declarations above. Processes with different hashes refuse to work together. The hash covers the sizes
+of the payloads, but not their formats. So if you change the format of a payload but not its size, raise
+LAYOUT_VERSION."""
 
 CLIENT_VERSION = 1
-"""Raise this number if programs that use the C library (clients/c) must be built again although the records in
-OF_LIBRARY keep their size and place. The reason can be a new meaning of a value, or of a key in `state`, `rules` or
-`settings`."""
+"""Raise this number if a value, or a key in `state`, `rules` or `settings`, gets a new meaning, so that programs with
+the C library (clients/c) must be built again. If the size or the place of a record in OF_LIBRARY changes, the hash
+below shows it without a new number."""
 OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
     SUPERVISOR: {
         **dict.fromkeys(("beat_ns", "epoch", "ready", "link", "rules", "settings")),

@@ -23,8 +23,8 @@ pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""How many bytes of a note's text, and of each of its fields, are kept. The second pair is used only if the note is too
-long with the first one."""
+"""Pairs of (bytes of a note's text that are kept, bytes of each field that are kept). The second pair is used only if
+the note is too long with the first pair."""
 
 
 def fitting(
@@ -34,9 +34,9 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """Pack a text and its fields into at most `room` bytes. `whole` is a function that combines the two into one value.
-    Each pair in `cuts` limits the text and every field, in bytes. The first pair with which everything fits is used. If
-    no pair is enough, all fields are left out."""
+    """Pack a text and its fields into at most `room` bytes. `whole` is a function that makes one value from the text
+    and the fields. Each pair in `cuts` says how many bytes of the text, and how many of each field, are kept. The first
+    pair with which everything fits is used. If nothing fits even with the last pair, the fields are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {

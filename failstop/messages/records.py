@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
 """Kinds of frames from the gate. MOTION is a motor frame. If several motor frames wait, only the newest one is sent.
 WRITE_BURST tells the port owner to write the stop burst now. OTHER is any frame that doesn't move anything. ARM is a
-frame for the arm's servos. OTHER and ARM frames are sent in order, and none is skipped for a newer one. But the port
-owner refuses a MOTION or ARM frame if a stop came after the frame was made (its epoch is over), or if the gate's lease
-is over."""
+frame for the arm's servos. All waiting OTHER and ARM frames are sent, in order. But the port owner refuses a MOTION or
+ARM frame if the frame is from before the last stop (its epoch is over), or if the gate has been silent for longer than
+its lease."""
 ASKED_BYTES = 180
 """The longest reason of a stop request, in bytes of UTF-8. It is limited so that the reason and the name of the program
 that asks fit into one record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""Comes before the name of the person who stops the whole fleet, in the request that the fleet publisher on each robot
-sends."""
+"""If somebody stops the whole fleet, the fleet publisher on each robot requests a stop under the name of that person,
+with this text before the name."""
 CAUSE = "{cause}"
 """The placeholder for the text of the cause in the text of a reply."""
 REPLY_BYTES = 290
@@ -132,8 +132,8 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """Combine a process's pid and the number of its block of futexes into one word, by which other processes notice its
-    death."""
+    """Combine a process's pid and the number of its block of futexes into one word. Other processes need both to notice
+    the death of the process."""
     return block << 32 | pid
 
 
@@ -277,9 +277,9 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
         MOST_REPORTED * _DOUBLE.size,
     ),
 )
-"""What the port owner has just written to the board, if the board will answer or echo it. For a ping, it is the index
-of the ping. For a motion frame, it is COMMANDED (failstop/board/handled.py), with the speeds that the board will
-report."""
+"""Says what the port owner has just written to the board, if the board will answer or echo it. The values are an index
+and speeds. For a ping, the index is the number of the ping, and there are no speeds. For a motion frame, the index is
+COMMANDED (failstop/board/handled.py), and the speeds are those that the board will report."""
 PROVED: Payload[int, int] = Payload("<QQ")
 """Proof that the board has handled everything that was written up to a certain time. The values are that time, and the
 time at which the proof (an answer or a report of the board) arrived, both in ns."""
@@ -287,9 +287,9 @@ STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
 0 if the burst could not be passed); and the packed cause."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""The latch: the epoch of the latched stop (0 if nothing is latched); when the cause of that stop was noticed (ns);
-when the epoch was last raised (ns); and the packed cause of the latched stop. If nothing is latched, the packed cause
-is that of the last stop."""
+"""The latch. Its values are the epoch of the latched stop (0 if no stop is latched); when the cause of that stop was
+noticed (ns); when the epoch was last raised (ns); and the packed cause of the latched stop, or if no stop is latched,
+of the last stop."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
 """The board's port. The values are the port's number in this run; when the port's present state began (ns); the present
 state, such as PORT_OPEN; and the port's path."""
@@ -307,9 +307,9 @@ person drives, and the source. The name of the source is never cut, because a sh
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""What a client asserts. The values are the client's session, and a list of names: the interlocks that hold, or the
-operator who is present. The record `sensed` has no names, and says that the obstacle sensor has delivered a reading. A
-name is never cut."""
+"""What a client asserts. The values are the client's session, and a list of names. In the record `interlocks`, the
+names are the interlocks that hold. In `attended`, the name is the operator who is present. `sensed` has no names: it
+asserts that the obstacle sensor has delivered a reading. A name is never cut."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
 """What a client reports with say(). The values are the client's session, what the client sees, and what is wrong (may
 be empty)."""
@@ -317,8 +317,8 @@ HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 """Which client holds a slot. The values are the client's random session number, pid, pid namespace and name."""
 GOODBYES = 64
 LEFT = Shape(f"<{GOODBYES}Q")
-"""The sessions that have left a client slot, the newest first. So many sessions are kept because many clients may come
-and go before the gate reads this record again."""
+"""The newest sessions that have left a client slot (GOODBYES of them), the newest first. One would not be enough,
+because many clients may come and go before the gate reads this record again."""
 
 
 def goodbye(session: int, before: bytes) -> bytes:
@@ -348,15 +348,16 @@ SEEN: Payload[int, int] = Payload("<QQ")
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a client's request. Its values are the client's session; the number of the request; DONE, REFUSED or
-UNDER_WAY; the reason for a refusal, which is FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS, or 0 in every other case;
-the text of the reply; and a packed cause, whose text replaces the placeholder CAUSE in the text of the reply."""
+"""The reply to a client's request. Its values are the client's session; the number of the request; the kind of reply
+(DONE, REFUSED or UNDER_WAY); the reason for a refusal (FOR_THE_LATCH, FOR_AN_INTERLOCK or FOR_THE_WHEELS; otherwise 0);
+the text of the reply; and a packed cause. The text of the cause replaces the placeholder CAUSE in the text of the
+reply."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
-"""What a client wants the arm to do at present. The client must repeat it again and again. It contains the client's
-session, the mode (ARM_FOLLOW or ARM_JOG), and a number for each servo: with ARM_FOLLOW the angle of its joint (rad),
-with ARM_JOG the rate of its joint (rad/s)."""
+"""What a client wants the arm to do at present. The client must write this record again and again. Its values are the
+client's session, the mode (ARM_FOLLOW or ARM_JOG), and a number for each servo. With ARM_FOLLOW, the number is the
+angle of the servo's joint (rad). With ARM_JOG, it is the rate of the servo's joint (rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )
@@ -395,8 +396,8 @@ ODOMETRY = Shape("<8dB6d")
 Then the standard deviation of the velocity: m/s for vx and vy, rad/s for wz. Then where the pose and the velocity come
 from, as an index of ODOMETRY_FROM. Last the covariance of the pose: xx, xy, x th, yy, y th, th th.
 
-The record's time is the time of the board's last report about the wheels. If the pose comes from commands, it is the
-time at which the record was written.
+If the pose comes from the wheels, the record's time is the time of the board's last report about them. If the pose
+comes from commands, the record's time is the time at which the record was written.
 """
 POSE_VARIANCE = 1e3
 """The variance that is published with a pose that comes from commands: m^2 for x and y, rad^2 for th. It is huge,
@@ -405,11 +406,11 @@ MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
 WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
-"""What is known about the wheels. Its values are what they do (an index of WHEELS_DO); the observer (an index of
-WHEELS_BY); True if they still turn although zero was commanded longer ago than the setting still.after_s; how many
-wheels the board reports about; the time since which they have been still or turning (ns; 0: not known); and the time of
-the newest reading (ns; 0: there was none). Then follow the measured speed of each wheel in turns per second, by wire
-id, and how many turns each has made (NaN: not reported)."""
+"""What is known about the wheels. The values are: what the wheels do (an index of WHEELS_DO); what has observed them
+(an index of WHEELS_BY); True if the wheels still turn although zero was commanded longer ago than the setting
+still.after_s; how many wheels the board reports about; since when the wheels have been still or turning (ns; 0: not
+known); the time of the newest reading (ns; 0: there was none); the measured speed of each wheel in turns per second;
+and how many turns each wheel has made. Speeds and turns are by wire id (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
 """A reading of the wheels that is older than this, in ns, says nothing about the present."""
 BATTERY: Payload[int, int] = Payload("<IB")
@@ -430,8 +431,8 @@ by a frame for the board. The frame moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """Return the state (such as PORT_OPEN) of the port with the number `number`. `entry`: the port owner's PORT record.
-    If that record is already about a newer port, this port is PORT_CLOSED."""
+    """Return the state (such as PORT_OPEN) of the port with the number `number`. `entry`: the port owner's PORT record,
+    or None. If there is no record, or if it is about another port, the state is PORT_CLOSED."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -1,11 +1,12 @@
 """Segments: the blocks of POSIX shared memory of a running service, which are files on Linux. The supervisor makes
 them, and the other processes attach to them.
 
-Every user may write to /dev/shm, so a malicious user could put files with the same names there before the service
-starts. For this reason the names contain a random number, the run's incarnation, which only the runtime directory
-reveals (its file `run`). A process also checks each segment when it attaches to it: first the owner, then size, magic
-number, layout and incarnation. If one of these checks fails, the process refuses the segment, with a message that says
-what to do. A damaged segment is never repaired, because a restart of the service makes new ones.
+Every user may write to /dev/shm, so a malicious user could put files with the names of segments there before the
+service starts. For this reason, the names contain the run's incarnation. This is a random number, which programs find
+in the file `run` of the runtime directory. A process also checks each segment when it attaches to it: the owner, the
+magic number, the layout, the name, the size and the incarnation. If one of these checks fails, the process refuses the
+segment, with a message that says what to do. A damaged segment is never repaired, because a restart of the service
+makes new segments.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _HEADER_SEED = cell.seed("header", 0)
 
 
 class AttachError(Exception):
-    """A segment was refused. The message says why, and what to do. `kind` is absent, permission, owner, damaged,
-    version, or descriptors (this process can open no more files)."""
+    """A segment can't be used or made. The message says why, and what to do. `kind` is absent, permission, owner,
+    damaged, version, or descriptors (this process can open no more files)."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -52,9 +53,9 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Make a segment for this run. Only the supervisor does this. While the supervisor lives, it holds a lock on its
-    own segment, so that other processes can see if it is alive. Raises AttachError if the segment can't be made, and
-    then removes a half-made segment."""
+    """Make a segment for this run. Only the supervisor does this. If the segment is the supervisor's own, this also
+    locks it. The supervisor keeps the lock while it lives, so other processes can see that it is alive (lives()). If
+    the segment can't be made, this removes what was made of it, and raises AttachError."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         fd = _make(path)
@@ -83,9 +84,9 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """Make a new shared memory object, and return its descriptor. It uses posix-ipc if that is installed. Without
-    posix-ipc, of which there is no wheel for Python 3.14, it makes the same system call as glibc's shm_open(). Raises
-    OSError."""
+    """Make a new shared memory object, and return its descriptor. If posix-ipc is installed, it makes the object. If
+    not (for Python 3.14 there is no wheel of it), this function makes the same system call as glibc's shm_open().
+    Raises OSError."""
     try:
         import posix_ipc  # imported only here, so that processes that only attach don't load it
     except ModuleNotFoundError:
@@ -129,9 +130,10 @@ def open_life(memory: str, owner: int) -> int:
 
 
 def lives(fd: int) -> bool:
-    """True if the supervisor of this run is alive. The supervisor holds a lock on its segment, which other users may
-    only read. `fd`: a descriptor of that segment. This takes one system call and uses no pid, so it works in every
-    container. Raises OSError if `fd` is not a regular file."""
+    """True if the supervisor of this run is alive, which means that it holds the lock on its segment. Another user
+    can't hold this lock, because it needs the permission to write the segment. `fd`: a descriptor of the supervisor's
+    segment. The check takes one system call and uses no pid, so it works in every container. Raises OSError if `fd` is
+    not a regular file."""
     return claim.held(fd, 0, by_writer=True)
 
 
@@ -179,10 +181,10 @@ def dead_runs(instance: str) -> list[str]:
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
     """Attach to a segment. Pass write=True only in the process that is declared as the writer of this segment.
 
-    Most segments are mapped into memory. If several processes write a segment (clients, or the holders of lifelines),
-    it is accessed through its file instead, because a mapped file that somebody truncates kills the process with
-    SIGBUS. `incarnation`: the expected run; None to accept any. `owner`: the uid of the service; -1 for this process's
-    user. Raises AttachError.
+    Most segments are mapped into memory. The segments of clients and the segment `lifelines`, which several processes
+    may write, are accessed through their files instead. If somebody truncated a mapped file, the process that has
+    mapped it would be killed with SIGBUS. `incarnation`: the expected run; None to accept any. `owner`: the uid of the
+    service; -1 for this process's user. Raises AttachError.
     """
     spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)
@@ -202,10 +204,10 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """Open a client's segment for reading by the service. Clients may have overwritten the segment's header, so the
-    header is not checked. Instead, each record's CRC includes the run's incarnation, so it shows that the record
-    belongs to this run. If a client has removed the segment's name, the segment can't be opened. The result is then an
-    empty segment."""
+    """Open a client's segment so that the service can read it. The header is not checked, because a client may have
+    overwritten it. It is not needed either: the CRC of each record includes the run's incarnation, and so shows that
+    the record belongs to this run. If the segment can't be opened, for example because a client has removed its name,
+    the result is an empty segment."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
