@@ -60,8 +60,8 @@ COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 LABORATORY = "failstop_lab"
 """The package with the commands of the laboratory, which injects faults. It may be missing on a robot."""
 HIDDEN = frozenset(("estop", "chaos"))
-"""Commands that `failstop --help` does not show: a second name for `stop`, and a tool for people who change
-failstop."""
+"""Commands that `failstop --help` does not show. `estop` is a second name for `stop`, and `chaos` is a tool for people
+who change failstop."""
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of standard output that are not bugs in failstop: no program reads the output, the disk is full, or the
@@ -153,8 +153,9 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """Return the parser and the module of a command. The help ends with the examples in the module's EXAMPLES, which is
-    a text, or a dict if one module serves several commands. Raises FailstopError if the command is not installed."""
+    """Return the parser and the module of a command. The command's help ends with examples from the module's EXAMPLES.
+    EXAMPLES is a text, or, if one module serves several commands, a dict with a text for each of them. Raises
+    FailstopError if the command is not installed."""
     import argparse
 
     from failstop.cli import style
@@ -167,8 +168,8 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
 
     class Help(argparse.RawDescriptionHelpFormatter):
-        """Breaks lines where every screen does: at spaces, and never within a command or between a number and its
-        unit."""
+        """Breaks lines as all screens of failstop do: at spaces, but not within a command, and not between a number and
+        its unit."""
 
         def _split_lines(self, text: str, width: int) -> list[str]:
             words = " ".join(text.split())
@@ -232,7 +233,8 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Return advice if too many open files have caused `error`, even indirectly. Empty for any other error."""
+    """If this process has too many open files, and this has caused `error` or the error that led to it, return advice.
+    Otherwise return an empty text."""
     import resource
 
     from failstop.procs.rights import no_descriptors

@@ -16,8 +16,8 @@ DISTRIBUTIONS = {
     "serial": ("pyserial", "python3-serial"),
     "tomli": ("tomli", "python3-tomli"),
 }
-"""The modules that failstop needs. Each has its package on PyPI, and its Debian package for the system's Python (empty
-if there is none)."""
+"""The modules that failstop needs. For each, its package on PyPI, and the Debian package that has it for the system's
+Python (empty if there is none)."""
 
 
 def text(error: ImportError) -> str:

@@ -1,5 +1,5 @@
-"""Standard input, output and error. This module makes sure that all three are open, and writes to them without ever
-raising an error.
+"""Standard input, output and error. This module makes sure that all three are open, and prints without ever raising an
+error.
 
 open() returns the lowest descriptor that is free. If standard output or error were closed, the board's port could get
 their descriptor (1 or 2), and all texts for people would go to the board.
@@ -13,8 +13,8 @@ import sys
 
 
 def fill() -> None:
-    """Open /dev/null in place of standard input, output and error if they are closed. Call this before anything else is
-    opened. Never raises."""
+    """Open /dev/null in place of each of standard input, output and error that is closed. Call this before anything
+    else is opened. Never raises."""
     try:
         while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
             os.set_inheritable(fd, True)
@@ -28,7 +28,7 @@ def fill() -> None:
 
 def say(text: str) -> None:
     """Print a line on standard error. If standard error is a terminal, the line is wrapped at spaces. Never raises,
-    because even with a full disk or a closed terminal the command must go on."""
+    because the command must go on even if the disk is full or the terminal is closed."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):

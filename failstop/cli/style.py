@@ -25,9 +25,9 @@ STRONG = "strong"
 PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
-"""The colour of each role, from the 256-colour palette, because a terminal's theme does not change that palette. All
-colours can be read on black and on white, because their contrast is at least 3.8. The yellow of a theme may have a
-contrast of only 1.1 on white. A console with fewer colours shows the closest one."""
+"""The colour of each role. The colours are from the 256-colour palette, which a terminal's theme does not change. Their
+contrast is at least 3.8 on black and on white, so they can be read on both. In comparison, the yellow of a theme may
+have a contrast of only 1.1 on white. A console with fewer colours shows the closest one."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
@@ -125,8 +125,8 @@ def record(found: object) -> list[Line]:
 
 
 def bound(text: str, space: str) -> str:
-    """Put `space` between each number and its unit, for a program that breaks lines by itself. `space`: a space at
-    which that program does not break."""
+    """Replace the space between each number and its unit with `space`. This is for texts that another program wraps.
+    `space`: a character at which that program does not break lines."""
     return _BEFORE_UNIT.sub(lambda _: space, text)
 
 
@@ -150,9 +150,9 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 
 def _pieces(text: str, room: int) -> Iterator[str]:
-    """Split a text into the pieces that may not be broken, each with the spaces after it. These are words, and commands
-    that fit into `room` columns. A word that is too long is split into letters, unless it is a text that people copy,
-    such as a command."""
+    """Split a text into pieces that must not be broken, each with the spaces after it. A piece is a word, or a command
+    that fits into `room` columns. A longer command is split at its spaces, and a longer word into letters. But what
+    matches _WHOLE is never split, because people copy it."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if _WHOLE.search(word):
@@ -187,8 +187,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """Return the lines that fit on the screen. If there are too many, the empty lines are dropped first, then the last
-    ones. A line at the end then says how many lines are missing."""
+    """Return the lines that fit on the screen. If there are too many, empty lines are dropped first. If that is not
+    enough, the last lines are dropped too, and a line at the end says how many."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

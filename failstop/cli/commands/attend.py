@@ -29,23 +29,24 @@ failstop attend --as Anna
 
 PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
-"""Programs that may run between this process and the terminal. They keep answering after the operator has closed the
-terminal, so an absent operator would count as present. The keys are process names, and the values are the programs'
-names for people."""
+"""Programs that may run between this process and the operator's terminal. They answer in place of the terminal, even
+after the operator has closed it, so an absent operator would count as present. Each key is a process name, and its
+value is the program's name for people."""
 PLACES = 60
-"""How many columns the questions use in turn. A question is asked every 0.1 s, so a column is used again after 6 s."""
+"""The number of columns that the questions to the terminal use, one after the other. A question is asked every 0.1 s,
+so each column is used again after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
 """Matches an incomplete answer at the end of the bytes."""
 
 
 class Questions:
-    """Asks a terminal where its cursor is. The answers prove that the terminal is still connected, for example through
-    ssh. Pure, because the times are arguments.
+    """Asks a terminal again and again where its cursor is. The answers prove that the terminal is still connected, for
+    example through ssh. Pure, because the times are arguments.
 
-    Each question moves the cursor to a new column. The terminal answers in order, without a person. So an answer
-    belongs to the oldest open question for the column that the answer reports. A late answer proves only that the
-    terminal was connected when the question was asked.
+    Each question first moves the cursor to another column, and the answer reports this column. A terminal answers by
+    itself, in the order of the questions. So an answer belongs to the oldest unanswered question with the same column.
+    Even if it is late, an answer proves only that the terminal was connected at the time of its question.
     """
 
     def __init__(self) -> None:
@@ -86,7 +87,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command until the operator types q, a signal arrives, or the connection ends. Raises FailstopError."""
+    """Run the command until the operator types q, a signal arrives, or the connection to the terminal ends. Raises
+    FailstopError."""
     if other := _between():
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
@@ -111,8 +113,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """Return the name of a program, such as tmux, that runs this process and would answer for the terminal. Empty if no
-    such program runs this process."""
+    """If this process runs inside a program that would answer in place of the terminal, such as tmux, return the name
+    of that program. Otherwise return an empty text."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):
         while process := process.parent() if process else None:

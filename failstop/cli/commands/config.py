@@ -74,7 +74,8 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
         "ros2": {"timeout_s": 0.3, "refusal": "the ROS 2 bridge is away, or two nodes publish cmd_vel"},
     },
 }
-"""Examples of tables that the user names, such as a joint called `shoulder`. No such table exists by default."""
+"""Sample tables for the example file. The user chooses the names of such tables, for example `shoulder` for a joint.
+None of these tables exists by default."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -138,8 +139,8 @@ def _fastest(settings: Settings, metres: float) -> str:
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:
-    """Return every setting by its whole key, with its value, unit, origin and allowed values. The origin is "default"
-    or the path of the file. Raises SettingError."""
+    """For each setting, by its whole key such as `board.kind`, return its value, unit, origin and allowed values. The
+    origin is "default" or the path of the settings file. Raises SettingError."""
     read = config.read(path)
     return {
         key: {
@@ -170,9 +171,9 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """Return an example settings file, with every default and some sample tables. Every line is a comment, because a
-    copy of the file must not keep a default that a later version of failstop changes. There are no [table] lines,
-    because a line that somebody adds below a [table] would belong to that table."""
+    """Return an example settings file, with every default and some sample tables. Every line is a comment. Otherwise a
+    copy of the file would keep the old default after a later version of failstop has changed it. There are no [table]
+    lines, because a setting that somebody adds at the end of the file would then belong to the last table."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {

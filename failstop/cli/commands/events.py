@@ -90,8 +90,8 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """Return a line about a jump of the wall clock between two events. Times of day from before a jump can't be
-    compared with later ones. Empty if the clock has not jumped."""
+    """If the wall clock jumped between two events, return a line that says so, because times of day from before the
+    jump can't be compared with later ones. Otherwise return an empty list."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 

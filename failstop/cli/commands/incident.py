@@ -35,9 +35,11 @@ WHICH = (
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
-"""How long after a stop to wait for its incident file, in seconds. The service saves the file 2.4 s after the stop."""
+"""The latest time after a stop at which its incident file is expected, in seconds. The service saves the file 2.4 s
+after the stop."""
 TOGETHER_NS = 500_000_000
-"""How far apart two stops of one incident may be, in ns. One file has both of them."""
+"""A stop that comes less than this time after the cause of a saved incident, in ns, belongs to the same incident, so it
+has no file of its own."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -100,8 +102,8 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """Return a warning if the times of day in an incident may be wrong, because somebody has set the clock. All saved
-    incidents are compared to find this out. Empty if the clock was not set."""
+    """If somebody has set the clock, so that the times of day in an incident may be wrong, return a warning. Otherwise
+    return an empty text. To find this out, all saved incidents are compared."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -120,8 +122,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """Return the path of the incident file that the user has asked for. If the user wants the last incident and it is
-    still being saved, this waits for its file. Raises IncidentError."""
+    """Return the path of the incident file that the user has asked for. If the user wants the last one, first wait for
+    the file of a stop that is still being saved. Raises IncidentError."""
     # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
@@ -141,8 +143,8 @@ def _meant(arguments: Namespace) -> str:
 
 
 def _newer(name: str, stop: Stop | None) -> str:
-    """Describe what has stopped the wheels since the newest saved incident, and why that stop is not saved. Empty if no
-    such stop is known. `stop`: the result of unsaved()."""
+    """If the wheels were stopped after the newest saved incident, describe that stop, and why it is not saved. Empty if
+    no such stop is known. `stop`: the result of unsaved()."""
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
@@ -152,9 +154,9 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """If the last stop of the wheels was not latched, for example because motion was disabled, describe when and why
-    the wheels were stopped. The text also says that only a latched stop has an incident. Empty while a stop is latched,
-    and if the last stop was a latched one."""
+    """Describe the last stop of the wheels if it was not a latched stop, for example if motion was disabled: its time,
+    its reason, and that only a latched stop has an incident. Empty if the last stop was a latched one, or if a stop is
+    latched now."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
     except FailstopError:

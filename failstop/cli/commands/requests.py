@@ -47,8 +47,8 @@ ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
-"""How long to wait before printing why the wheels are blocked, in seconds. By then a process that has died has normally
-been restarted, so the message need not tell the user to wait for the restart."""
+"""How long to wait before finding out why the wheels are blocked, in seconds. If a process has died, it has normally
+been restarted by then, so the message need not tell the user to wait for the restart."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -108,9 +108,9 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
-    """Drive at the velocity `asked` for `for_s` seconds. The caller must then stop the wheels. The commands count as
-    manual, because a person has typed them. Raises Refused as soon as something blocks the wheels, or a source with a
-    higher priority drives. At the end, raises Refused if none of the commands was passed on to the wheels."""
+    """Drive at the velocity `asked` for `for_s` seconds. Afterwards the caller must stop the wheels. The commands count
+    as manual, because a person has typed them. Raises Refused as soon as something blocks the wheels or a source with a
+    higher priority drives, and also at the end if no command was passed on to the wheels."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused

@@ -65,8 +65,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. Raises NoService if no service is running. But if the service has died, `failstop why` prints
-    what is still known about it, and returns an error code."""
+    """Run the command. If the service has died, `failstop why` prints what is still known about it, and returns an
+    error code. In every other case without a running service, this raises NoService."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -193,8 +193,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """Return the last events, one in each row, as many as fit into `room` rows. The rows leave out what to do next,
-    because the screen already shows it higher up."""
+    """Return the last events, one in each row, as many as fit into `room` rows. The rows don't say what to do next,
+    because the screen already shows that higher up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

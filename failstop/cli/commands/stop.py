@@ -1,5 +1,5 @@
 """`failstop stop`, also called `failstop estop`: asks the running service to stop the robot. If that fails, the command
-writes the stop to the port itself, so it works even if everything else has failed."""
+writes the stop to the port itself, for which it needs no service."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
 
-    Returns 0 if a stop was written and there is no doubt about it. Returns 1 if the stop may have gone to the wrong
-    port, if a board that can answer is silent, if a service has written the stop but the wheels may still turn, or if
-    --end-service was used outside of the service's systemd unit.
+    Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases: the stop may have
+    gone to the wrong port; a board that can answer is silent; a service has written the stop but the wheels may still
+    turn; --end-service was used outside of the service's systemd unit.
     """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -126,14 +126,14 @@ class Order(Data):
 
 
 Outcome = int | str
-"""The result of one way to stop the robot: the exit code if a stop was written, else the reason why not, which may be
-empty."""
+"""The result of one way to stop the robot. If a stop was written, it is the exit code. Otherwise it is a text that says
+why not, which may be empty."""
 NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask the service `order.name` to stop the robot. But if the user has named a port, ask every service that may use
-    that port, whatever the name of the service is."""
+    """If the user has named a port, ask every service that may use that port to stop the robot, whatever the service's
+    name is. Otherwise ask the service `order.name`."""
     try:
         target = order.target
         device = target.wanted()
@@ -144,8 +144,8 @@ def _ask_services(order: Order) -> Outcome:
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask these services one after the other, until one has stopped the robot. If `device` is not empty, services that
-    use a different port are not asked."""
+    """Ask these services one after the other, until one has stopped the robot. If `device` is not empty, skip services
+    that use a different port."""
     # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
@@ -174,9 +174,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write the stop to the port itself, and try again until it succeeds or the waiting time (--wait) is over. While
-    another process holds the port, also look for a service that has just been started. If the port can't be used, also
-    try the port that the settings name."""
+    """Write the stop to the port itself. Try again until the stop is written or the waiting time (--wait) is over.
+    After a failed try, if another process holds the port, look for a service that has just been started, and ask it. If
+    the port of the last run can't be used, try the port that the settings name."""
     target = order.target
     by_service: list[int] = []
 
@@ -208,9 +208,8 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """Ask the service `order.name` to stop the robot, but only once, and only if it was started after this program
-    began to try the port. Returns a list with the exit code if the service has stopped the robot, else an empty
-    list."""
+    """If the service `order.name` was started after this program began to try the port, ask it to stop the robot, but
+    only once. Returns a list with the exit code if the service has stopped the robot, else an empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -277,11 +276,11 @@ class Target:
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
-        """A port and a uid, if the port of the last run could not be used and the stop was written to this port
-        instead. The uid is that of the user whose settings file names this port. Otherwise ("", 0)."""
+        """The port to which the stop was written because the port of the last run could not be used, and the uid of the
+        user whose settings file names it. ("", 0) if this did not happen."""
         self._stopped = False
-        """True once a stop was written. After that, board() may run the user's own Python code for the board, which is
-        needed to ask the board for an answer."""
+        """True once a stop was written. From then on, board() may run the user's own Python code for the board. Asking
+        the board for an answer needs that code."""
 
     def wanted(self) -> str:
         """Return the port that the user has named, with an option or in the file given with --config. Empty if there is
@@ -311,9 +310,10 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """Return the board at the port. Its kind comes from the last run if that run used the same port, else from the
-        settings file. If the last run has saved the stop for the user's own kind of board, this returns a board with
-        only that stop until the stop is written. So the user's Python code need not run first."""
+        """Return the board at the port. Its kind is that of the last run if that run used the same port, else the one
+        in the settings file, else the default. If the user has programmed the board, its Python code should not run
+        before the stop is written. So until then this returns a board that has only the stop that the last run has
+        saved, if there is one."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -329,8 +329,8 @@ class Target:
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def _named_kind(self) -> str:
-        """Return the kind of board that the last run has saved, if it used the chosen port. Otherwise return the kind
-        that the settings file names, or "" if it names none."""
+        """If the last run used the chosen port, return the kind of board that the last run has saved. Otherwise return
+        the kind that the settings file names, or "" if it names none."""
         if self._is_the_last_s():
             with contextlib.suppress(SettingError):
                 return str(BY_KEY[KIND].check(self._last.board))
@@ -372,8 +372,8 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The settings in the settings file. If the stop needs a setting but its value is wrong, the setting is left
-        out. Empty if the file does not exist or can't be read."""
+        """The settings in the settings file. Those that the stop needs are checked, and left out if they are wrong.
+        Empty if the file does not exist or can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -393,9 +393,9 @@ class Target:
         return table
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
-        """Write the stop, trying for at most `most_s`. Returns the number of seconds until the stop was written.
-        `otherwise` is called after each failed try. It returns True if it has stopped the robot in another way. Raises
-        PortError."""
+        """Write the stop, trying for at most `most_s` seconds. Returns the number of seconds until the stop was
+        written. `otherwise` is called after each failed try. It returns True if it has stopped the robot in another
+        way. Raises PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -428,9 +428,9 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """Write the stop to the port that the settings file names, or to the default port. This helps if the
-        board has got a new port when it was plugged in again, so that the port of the last run can't be used. Returns
-        True if a stop was written."""
+        """If the chosen port is that of the last run, write the stop to another one: the port that the settings file
+        names, or the default port. This helps if the board has got another port since the last run, because it was
+        plugged in again. Returns True if a stop was written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -442,8 +442,9 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """Return True if root refused to open the port that a user's file names. Root refuses a port that this user may
-        not open, and anything that is not a serial port. Otherwise a user could make root write to any device."""
+        """Return True if this program runs as root and has refused to open the port that a user's file names. As root,
+        it refuses a port that this user may not open, and anything that is not a serial port. Otherwise a user could
+        make root write to any device."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
@@ -525,8 +526,8 @@ class Target:
 
 
 def _end_service() -> bool:
-    """Kill (SIGKILL) the other processes of this service. Unless the service's systemd unit runs this process, this
-    kills nothing and returns False."""
+    """Kill (SIGKILL) the other processes of this service. If the service's systemd unit does not run this process, kill
+    nothing, and return False."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(

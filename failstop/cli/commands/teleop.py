@@ -36,8 +36,8 @@ LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 """The settings with the highest speeds forward, sideways and turning. Their values are the speeds at 100 %."""
 TURN_S = 0.05
 LATE_S = 0.25
-"""The longest normal time for one pass of the loop, in seconds. If a pass takes longer, the computer or the program was
-held up. The keys that were typed during that pass are too old to move the robot."""
+"""If one pass of the loop takes longer than this, in seconds, the computer or the program was held up. Then the keys
+that were typed during that pass are too old to move the robot."""
 CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
@@ -130,8 +130,8 @@ class Pilot:
         self._told: Span = self.note
         """The note at the beginning of the previous call of keys()."""
         self._asked = False
-        """True if a thread was enabling motion at the previous call of keys(). This takes seconds with an arm, because
-        the arm moves to its drive pose first."""
+        """True if a thread was enabling motion at the previous call of keys(). With an arm, enabling takes seconds,
+        because the arm first moves to its drive pose."""
         self._rival = ""
         """Another program that commands as the same source; empty if there is none."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
@@ -167,9 +167,9 @@ class Pilot:
         self._send(self.hold.pressed(moving, now_s), now_s)
 
     def _drop_old_note(self, state: State) -> None:
-        """Drop the note if the state has changed, unless the note was made since the last call. If motion was disabled
-        since then, this also forgets that this program has enabled motion. Somebody else may enable motion later, and
-        this program must not disable it when it ends."""
+        """Drop the note if the state has changed since the last call, unless the note is newer than that call. If
+        motion was disabled, also forget that this program has enabled it. Otherwise, if somebody else enabled motion
+        later, this program would disable it at its end."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -260,8 +260,9 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """Return the reason why a motion key must do nothing, or None if the key may drive. Either the wheels are
-        stopped, or another program commands as the same source. A second publisher of a source would latch a stop."""
+        """Return the reason why a motion key must do nothing, or None if the key may drive. There are two reasons: the
+        wheels are stopped; or another program commands as the same source, so a command of this program would latch a
+        stop."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
@@ -317,8 +318,8 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """Return the lines about the arm and the chosen joint. The joint's line shows the angle that the joint was sent
-        to, or else the angle that was read."""
+        """Return the lines about the arm and the chosen joint. The joint's line shows the commanded angle, or the
+        measured angle if none was commanded."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

@@ -24,7 +24,7 @@ LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """The width of what comes before the text in a row of the story: indent, time, gap, label, gap."""
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
-"""The words for the names in Incident.ages()."""
+"""For each name in Incident.ages(), the word that people see."""
 LEAST_APART_NS = 100_000
 """If a stop's first and last bytes are at least this far apart, in ns, the screen shows both times. Otherwise it shows
 only the time of the last bytes."""
@@ -33,8 +33,8 @@ ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL,
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
-    """Return the list of incidents, the newest last. Each has its id, time, cause, the proof of the stop, and a note if
-    the wall clock was set."""
+    """Return the list of incidents, the newest last. Each has its id, its time, its cause, and the proof of its stop.
+    If the wall clock was set, it also has a note."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
@@ -47,9 +47,9 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
-    """Return the lines about one incident: the facts, and the important part of the story, short enough to need no
-    scrolling. With `whole`, they have the whole story and the circumstances. `clock`: why the times of day in this
-    incident may be wrong; empty if they are right."""
+    """Return the lines about one incident: the facts, and the important part of the story, which together need no
+    scrolling. With `whole`, return the facts, the whole story, and the circumstances. `clock`: why the times of day in
+    this incident may be wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
@@ -107,8 +107,8 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _first_frame(incident: Incident) -> str:
-    """Return a text with the time of the stop's first bytes. Empty if the last bytes were written at almost the same
-    time, because the screen shows their time anyway."""
+    """Return a text with the time of the stop's first bytes. Empty if the stop's last bytes were written less than
+    LEAST_APART_NS later, because the screen shows the time of the last bytes anyway."""
     written_us = (incident.head["stop"] or {}).get("written_us")
     bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
     first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
@@ -118,7 +118,8 @@ def _first_frame(incident: Incident) -> str:
 
 
 def _before(incident: Incident) -> str:
-    """Describe what was commanded before the cause, or for how long only zero was commanded."""
+    """Describe the last command before the cause. If it was zero because nothing drove the robot, say for how long this
+    had been so."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -134,8 +135,8 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """Describe what the board reported about its wheels at the time of the cause, and at the end of the file. Each time
-    is the time of a report, because nobody knows what the wheels did between two reports."""
+    """Describe the board's last report about its wheels before the cause, and what it reported until the end of the
+    file. Each time is that of a report, because nobody knows what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -191,7 +192,8 @@ def _battery(incident: Incident) -> str:
 
 
 def _ages(incident: Incident) -> str:
-    """Describe how old the newest reading of each kind was at the cause, for example of the battery."""
+    """For each kind of reading, for example the battery's, say how old the newest reading was at the time of the
+    cause."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
     return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN

@@ -2,13 +2,13 @@
 argument.
 
 A terminal sends a key's bytes again and again while the key is held, and nothing when it is released. If several keys
-are held, it repeats only the last one. Each repeat becomes one command, and the service obeys a command for the command
-timeout (0.3 s). So the robot stops when the bytes end, for example because the key is released, the connection is lost,
-or a program is suspended.
+are held, the terminal repeats only the last one. Each repeat becomes one command, and the service obeys a command for
+the command timeout (0.3 s). So the robot stops when the bytes end, for example because the key is released, the
+connection is lost, or a program is suspended.
 
-If you press a key, the robot drives for one command timeout. Then the wheels stop until the terminal begins to repeat
-the key (after 250 to 660 ms). So a tap moves the robot a little. When you release a key, the timeout counts from its
-last repeat.
+When you press a key, the robot drives for one command timeout, so even a tap moves the robot a little. The terminal
+begins to repeat the key 250 to 660 ms after the press. If the command timeout ends earlier, the wheels stop in between.
+When you release a key, the robot drives until one command timeout after the key's last repeat.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _PASTED = {"200": True, "201": False}
 _LONGEST = 64
 """The longest escape sequence, in characters. Anything longer is noise."""
 _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=[^\[O]))", re.DOTALL)
-"""Matches one of three things: a sequence `CSI parameters final`, which may be cut off by another character; an arrow
-key in application mode; or a single character."""
+"""Matches one of three things: an escape sequence `ESC [ parameters final`, which another character may have cut off;
+an arrow key in application mode, `ESC O letter`; or a single character."""
 
 Velocity = tuple[float, float, float]
 
@@ -67,12 +67,13 @@ AXES: dict[str, Velocity] = {
     "j": (0.0, 1.0, 0.0),
     "l": (0.0, -1.0, 0.0),
 }
-"""The keys that move the robot, each with its direction: forward, to the left, and counter-clockwise."""
+"""The keys that move the robot, each with its velocity (forward, to the left, counter-clockwise), as a share of the
+full speed."""
 COMMAND_S = 0.3
 """How long one command is valid by default, in seconds (setting gate.command_timeout_s)."""
 ENDS_S = 0.35
-"""How long after a key's last repeat the key counts as released, in seconds. Usually the service's command timeout
-stops the wheels earlier. If that timeout is longer, teleop's command of zero stops them."""
+"""A key counts as released this long after its last repeat, in seconds. Then teleop sends a command of zero. Usually
+the service's command timeout is shorter, so it has stopped the wheels already."""
 LONGEST_DELAY_S = 0.8
 """The longest time until a terminal begins to repeat a held key, in seconds."""
 REPEAT_S = 0.15
@@ -90,20 +91,19 @@ class Hold:
         self.active = False
         """True while a motion key is held."""
         self.jerks = False
-        """True if the wheels stop for a moment after each press although the key is held, because the terminal begins
-        to repeat the key too late. This is known only after the second repeat, because until then the person may have
-        tapped the key twice."""
+        """True if the terminal begins to repeat a held key so late that the wheels stop for a moment after each press.
+        This is known only after the second repeat, because until then the person may have tapped the key twice."""
         self._until_s = 0.0
         """The time at which the held key counts as released (same clock as `now_s`). Each repeat postpones it."""
         self._last = ("", 0.0)
         """The last motion key, and when it came."""
         self._late = False
-        """True if the last key may have been the first repeat of a held key, and came after the key's command had
-        expired."""
+        """True if the last two keys were the same, and the second came after the command of the first had expired. Then
+        the second may be the first repeat of a held key."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """Return the command to send after `keys` were typed, with each axis between -1 and 1. `keys` is empty if no
-        key was typed. None if there is nothing to send."""
+        """Return the command to send, with each axis from -1 to 1, or None if there is nothing to send. `keys`: the
+        keys that were typed since the last call, which may be none."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()

@@ -1,5 +1,5 @@
 """Progress: shows the progress of a request in one line on the terminal, and removes the line at the end. If the output
-is not a terminal, only the result is printed."""
+is not a terminal, this prints nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Summary: the state on one screen, for `failstop status`, and an event in one line."""
+"""Summary: makes the lines of `failstop status`, which show the state on one screen, and the line that shows an
+event."""
 
 from __future__ import annotations
 
@@ -110,9 +111,9 @@ def _drivers(state: State) -> list[Line]:
 
 
 def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> list[Line]:
-    """Return the rows about the last stop, with its three proofs if it was latched. `unlatched`: the event that stopped
-    the wheels after the last latched stop (verdict.unlatched). The rows then show the latched stop only as an earlier
-    one, because its proofs say nothing about the last stop."""
+    """Return the rows about the last stop. If it was a latched stop, the rows have its three proofs. If not,
+    `unlatched` is the event that stopped the wheels (verdict.unlatched). Then the last latched stop is shown only as an
+    earlier one, because its proofs say nothing about the last stop."""
     stop = state.last_stop
     if unlatched:
         told = [*row("last stop", unlatched.what, WARN), (f" ({words.ago(unlatched.t, now_s)})", DIM)]
@@ -131,7 +132,7 @@ def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> lis
 
 
 def device(state: State) -> Line:
-    """Return the row about the port, and what proves that the board receives commands."""
+    """Return the row about the port. It also says whether the board is known to receive commands."""
     port, link = state.device.state, state.device.link
     found = [*row("device", state.device.path), (f" {port}", PORTS.get(port, WARN))]
     told = link if link == "alive" else f"{link}: {verdict.LINKS[link]}"
@@ -191,7 +192,7 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
 
 
 def event(told: Event, now_s: float) -> Line:
-    """Return an event as one line for people: its time, its kind, its text."""
+    """Return an event as one line for people, with its time, kind and text."""
     role = LEVEL_STYLES.get(told.level, PLAIN)
     when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
     return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]

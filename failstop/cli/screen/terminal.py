@@ -26,14 +26,14 @@ ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
 """Switches to the alternate screen, hides the cursor, and asks the terminal to mark pasted text."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-"""The signals that end the command. Ctrl-Z ends the command instead of suspending it, because nobody would drive or
-attend the robot while the command is suspended."""
+"""The signals that end the command. Ctrl-Z (SIGTSTP) ends the command instead of suspending it, because nobody would
+drive or attend the robot while the command is suspended."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """Shows a live command on the terminal. Use it as a context manager. A signal that ends the command is only noted
-    in `ended`, and then turns() ends."""
+    """Shows a live command on the terminal. Use it as a context manager. A signal in ENDS does not end the program at
+    once: its number is noted in `ended`, and then the loop of turns() ends."""
 
     def __init__(self) -> None:
         """Raises FailstopError if standard output is not a terminal, or if the terminal does not understand escape
@@ -121,8 +121,8 @@ class Terminal:
         return typed
 
     def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
-        """Run the loop of a live command until a signal ends it. Each pass yields the bytes that were typed, and the
-        time (time.monotonic()) if the screen must be drawn again, else None."""
+        """Run the loop of a live command until a signal ends it. Each pass yields two values: the bytes that were
+        typed, and the present time (time.monotonic()). The time is None if the screen need not be drawn again."""
         next_s = time.monotonic()
         while not self.ended:
             typed = self.wait(next_s - time.monotonic())
