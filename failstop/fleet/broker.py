@@ -1,5 +1,5 @@
-"""Broker: a connection to the MQTT broker, which is made again whenever it breaks. It uses paho-mqtt without its
-threads."""
+"""Broker: keeps a connection to the MQTT broker, and makes a new one whenever it breaks. It uses paho-mqtt without
+paho-mqtt's threads."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ CLOSE_S = 1.0
 """How long to wait for the broker to end the connection after this client has sent its goodbye, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long one call of deliver() may hand on messages, s. The newest message is the first. After this time, the
-remaining messages are dropped."""
+"""How long one call of deliver() may hand on messages with `newest_first`, s. The newest message comes first. After
+this time, the remaining messages are dropped."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""
 ANYHOW = 0
-"""MQTT's quality of service 0: the number of messages is not limited, but they are lost if the connection breaks. All
-subscriptions use it, so the broker never waits for this client's acknowledgements, even in a flood of messages."""
+"""MQTT's quality of service 0: messages are not acknowledged, so their number is not limited, but they are lost if the
+connection breaks. All subscriptions use it, so the broker never waits for this client, even in a flood of messages."""
 
 
 class Broker:
@@ -196,9 +196,9 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. With `newest_first`, messages that could not be handed on within HEAR_S
-        are dropped, which happens only in a flood. A real fleet stop among them is not lost, because its sender repeats
-        it."""
+        """Hand on the messages that were read. With `newest_first`, those that could not be handed on within HEAR_S are
+        dropped. This happens only in a flood of messages. If a real fleet stop is dropped, its sender sends it
+        again."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
@@ -227,8 +227,8 @@ class Broker:
             self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
 
     def confirmed(self, wait_s: float) -> bool:
-        """Wait for at most `wait_s`. Returns True once there is a connection, and the broker has acknowledged every
-        message that was published with ONCE."""
+        """Wait until there is a connection and the broker has acknowledged every message that was published with ONCE.
+        Returns False if this takes longer than `wait_s`."""
         until_s = time.monotonic() + wait_s
         self._try_at_s = 0.0
         while self.problem or self.client.waits():
@@ -241,9 +241,9 @@ class Broker:
         """Disconnect cleanly, so that the broker does not publish the last will. Then wait until the broker ends the
         connection, for at most CLOSE_S.
 
-        This client must not close the connection first. If bytes arrived after that, the kernel would reset the
-        connection. The broker could see the reset before it reads the goodbye, and would then report this client as
-        lost.
+        The broker must close the connection first. If this client closed it and bytes arrived afterwards, the kernel
+        would reset the connection. The broker might see the reset before it reads the goodbye, and would report this
+        client as lost.
         """
         self._closing = True
         if (fd := self.fileno()) < 0:

@@ -1,4 +1,4 @@
-"""Client: a client of paho-mqtt that reads its messages through an MqttWire. Needs paho-mqtt."""
+"""Client: a client of paho-mqtt that reads its messages through an MqttWire (wire.py). Needs paho-mqtt."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Client(client.Client):
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Return the next received bytes to paho-mqtt, without the messages, which stay in `wire`. If no bytes are
-        left, this reads the connection once."""
+        """Give paho-mqtt the next received bytes. The messages among them are left out, and stay in `wire`. If there
+        are no bytes to give, read the connection once."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:

@@ -1,4 +1,4 @@
-"""`failstop fleet`: shows the robots on a broker, stops all of them, or publishes this robot."""
+"""`failstop fleet`: shows the robots on a broker, stops all of them, or publishes the state of this robot."""
 
 from __future__ import annotations
 
@@ -227,8 +227,8 @@ def _stop(arguments: Namespace) -> int:
 
 
 class Progress:
-    """Shows on the terminal, in a line that is updated in place, how many robots have confirmed a stop. Shows nothing
-    if stderr is not a terminal."""
+    """Shows how many robots have confirmed a stop, in one line on stderr that is updated in place. Shows nothing if
+    stderr is not a terminal."""
 
     def __init__(self, stopping: Sender) -> None:
         self._stopping = stopping
@@ -257,9 +257,9 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, this waits for a
-    message of the robot, because the broker's report alone proves nothing. If a robot is switched off while the broker
-    is down, the broker reports it as connected forever."""
+    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, wait for a message of
+    the robot itself. The broker's report alone proves nothing: if a robot is switched off while the broker is down, the
+    broker reports it as connected forever."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

@@ -61,12 +61,13 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """Return True if the service has obeyed this fleet stop. `stop` is the service's last stop. Usually it is a new
-        stop, so its epoch is newer than the epoch that the service had before the request.
+        """Return True if the service has obeyed this fleet stop. `stop`: the service's last stop. Usually the service
+        makes a new stop, whose epoch is newer than the service's epoch before the request. If the epoch before the
+        request is not known, the stop must not be older than the request.
 
-        If a stop was latched already, the service makes no new stop. In this case the service's own epoch must be newer
-        than before, which shows that the service has received the request. If the board can answer, the service must
-        also still hear the board.
+        If a stop was latched already, the service makes no new one, but its own epoch becomes newer when it receives
+        the request. So this epoch must be newer than before. If the board can answer, the service must also still hear
+        the board.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s
@@ -126,7 +127,8 @@ class Duties:
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
         """Return the answer to a stop that its sender repeats. If this program was restarted after it had requested the
-        stop, the answer says only that the stop was requested. None if the last answer was sent only a moment ago."""
+        stop, the answer says only that the stop was requested. None if the last answer was sent less than AGAIN_EVERY_S
+        ago."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -165,7 +167,7 @@ class Duties:
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """Return True while a stop that is being watched is not confirmed, so that its sender is waiting."""
+        """Return True while the sender of a stop still waits for this robot to confirm it."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

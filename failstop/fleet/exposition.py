@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 class Collector:
-    """Reads the service's state at each scrape. It finds the service again after a restart. Thread-safe."""
+    """Reads the service's state at each scrape. After a restart of the service, it finds the service again.
+    Thread-safe."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -73,7 +74,7 @@ def text(name: str) -> str:
 
 @contextlib.contextmanager
 def serving(name: str, host: str, port: int) -> Iterator[int]:
-    """Serve /metrics over HTTP while the context lasts. Yields the port. Raises FleetError."""
+    """Make a context in which /metrics is served over HTTP. Yields the port. Raises FleetError."""
     found = registry(name)
     from prometheus_client import make_wsgi_app
 

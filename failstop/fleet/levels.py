@@ -29,7 +29,7 @@ OBSERVED = "observed"
 PROOFS = (WRITTEN, ACKNOWLEDGED, OBSERVED)
 ORDER = (REFUSED, FAILED, ASKED, *PROOFS)
 MOST_TEXT = 120
-"""The longest allowed reason or name, characters."""
+"""The longest allowed reason or name, in characters."""
 
 
 @dataclasses.dataclass(frozen=True)

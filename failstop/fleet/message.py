@@ -25,11 +25,11 @@ ONLINE = "online"
 OFFLINE = "offline"
 """The connection state that a publisher reports just before it ends cleanly."""
 LOST = "lost"
-"""The content of the last will, which the broker publishes when the robot's connection breaks."""
+"""The connection state in the last will, the message that the broker publishes when the robot's connection breaks."""
 FLEET_STOP_OFF = "fleet_stop_off"
-"""The error kind of a robot that would obey no fleet stop."""
+"""The kind of the error that a robot reports if it would obey no fleet stop."""
 DOUBLED = "doubled_name"
-"""The error kind of a robot whose name is also used by another publisher."""
+"""The kind of the error that a robot reports if another publisher uses its name too."""
 WARNING = "warning"
 FATAL = "fatal"
 NO_SERVICE_NEXT = "`failstop why` on the robot says more"
@@ -105,7 +105,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 
 def steady(found: Message) -> Message:
-    """Return the fields of a state message that change rarely, without speeds, ages and the battery's voltage."""
+    """Return a state message without the fields that change often, such as velocity, wheels and battery."""
     changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
     return {key: value for key, value in found.items() if key not in changing}
 
@@ -126,7 +126,7 @@ def warning(kind: str, text: str, then: str) -> Message:
 
 
 def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return these values as JSON fields, without infinities and NaN, because JSON doesn't have them."""
+    """Return these values as JSON fields. Infinities and NaN are left out, because JSON doesn't have them."""
     return {name: round(value, 4) for name, value in named if math.isfinite(value)}
 
 

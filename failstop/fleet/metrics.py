@@ -43,8 +43,8 @@ class Family:
 
 
 def collect(state: State | None) -> Iterator[tuple[Family, list[Sample]]]:
-    """Yield all metrics that have samples. `state`: the service's state, or None if no service is running or it does
-    not answer."""
+    """Yield all metrics that have samples. `state`: the service's state, or None if no service is running or the
+    service does not answer."""
     yield UP, [((), float(state is not None))]
     if state is not None:
         for family in FAMILIES[1:]:

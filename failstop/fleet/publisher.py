@@ -52,16 +52,16 @@ LAST_LOOK_S = 0.1
 """The time between two looks while a fleet stop is confirmed but not all of its proofs are known, s. It is longer than
 BUSY_LOOK_S, because the sender of the stop no longer waits for this robot."""
 BUSY_STATE_S = 1.0
-"""The time between two state messages during a fleet stop, s. It is long, because the state messages of a thousand
-robots would delay their answers to the stop."""
+"""The time between two state messages during a fleet stop, s. It is long, because frequent state messages of a thousand
+robots would delay the robots' answers to the stop."""
 FIRST_LOOK_S = 0.003
-"""How long after requesting a stop to look for the first time, s. By then the service has usually written the stop, so
-the first answer can already say so."""
+"""The time from the request of a stop to the first look at the robot's state, s. By then the service has usually
+written the stop, so the first answer can already say so."""
 CHANGES_S = 1.0
 """The shortest time between two state messages if only values such as a velocity have changed, s."""
 MOST_EVENTS = 20
-"""How many events are published at one look. If there are more new events, only the newest are published, but the
-journal has all of them."""
+"""The largest number of events that are published at one look. If there are more new events, only the newest are
+published. The journal has all of them."""
 FORGED_S = 60.0
 """How long a forged stop is reported as an error after it has arrived, s. A forged stop is one that was not signed with
 the fleet's key."""
@@ -72,7 +72,8 @@ NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """Reads the robot's service on this computer, and requests stops. It finds the service again after a restart."""
+    """Reads the robot's service on this computer, and requests stops. After a restart of the service, it finds the
+    service again."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -130,8 +131,8 @@ class Publisher:
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
         self.duties = Duties(self._key, robot_id, self._seen)
-        """Judges messages that claim to be fleet stops. If this robot does not have the fleet's key, such messages are
-        ignored and never judged."""
+        """Judges messages that claim to be fleet stops. A robot without the fleet's key ignores such messages, and does
+        not have them judged."""
         self.unsaved = False
         """True while the newest obeyed stops are not saved. The publisher saves them after it has sent its answers,
         because the disk may be slow."""
@@ -283,8 +284,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Handle a message: a fleet stop, a forged stop, or a connection message of any publisher that uses this
-        robot's name."""
+        """Handle a message: a fleet stop, a forged stop, or a connection message with this robot's name, which may come
+        from another publisher."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -345,8 +346,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """Read the stops that were obeyed earlier from their file. If the file can't be read, a stop that somebody has
-    recorded could work again, until its date is older than the tolerance."""
+    """Read from a file which stops were obeyed earlier. If the file can't be read, this starts without any. Then a stop
+    that somebody has recorded could work again, until its date is older than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:

@@ -10,9 +10,9 @@ because every robot answers each time it receives the stop."""
 MANY = 100
 """MANY_AGAIN_S applies while more robots than this have not confirmed the stop."""
 LATEST_S = 4.5
-"""The longest time between two sendings of a stop, s. While many robots are missing and answers still arrive, the next
-sending is postponed, but not longer than this. A thousand robots need two seconds to answer once. They would need four
-seconds if the stop was sent again in between, because they would answer twice."""
+"""The longest time between two sendings of a stop, s. While many robots have not confirmed it, each new answer
+postpones the next sending, up to this limit. A thousand robots need two seconds to answer. If the stop was sent again
+meanwhile, they would answer twice, and need four seconds."""
 
 
 class Repeats:

@@ -1,10 +1,10 @@
-"""Replay: tells a new fleet stop from an old one that somebody recorded and sends again. Pure; the wall clock is an
+"""Replay: tells a new fleet stop from an old one that somebody recorded and sends again. Pure, because the time is an
 argument.
 
-A stop has an id and a date. Each id is obeyed only once, and the date must be close to this robot's clock. The robot
-forgets an id when the date of the stop is too old to be accepted. It remembers only the newest date among all forgotten
-stops. A stop that is not newer than this date is refused, even if somebody sets the clock back. So a recorded stop
-never works again, not even after a restart.
+A stop has an id and a date. A stop is obeyed only if its id is new and its date is close to this robot's clock. When
+the date of an obeyed stop has become too old to be accepted, the robot forgets the stop's id. Of all forgotten stops,
+it remembers only the newest date, and refuses every stop that is not newer than this date. So a recorded stop never
+works again, not even after a restart, or if somebody sets the clock back.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Seen:
         return NEW
 
     def obeyed(self, stop_id: str, dated_s: float, now_s: float) -> None:
-        """Note that a stop was obeyed. Its sender may repeat the same id with a newer date."""
+        """Note that a stop was obeyed. If its id was noted before, the newer date counts."""
         self._ids[stop_id] = max(dated_s, self._ids.get(stop_id, dated_s))
         gone = [known for known, date_s in self._ids.items() if date_s < now_s - self._tolerance_s]
         left = sorted((known for known in self._ids if known not in gone), key=lambda known: self._ids[known])

@@ -18,12 +18,12 @@ MOST_VOLTS = 1000.0
 MOST_TEXT = 200
 """The longest text of a robot that is kept, characters."""
 LONGEST_PERIOD_S = 30.0
-"""The longest time between two state messages that the setting robot.publish_s allows, s. It is assumed for a robot
-that does not report its own period."""
+"""The largest value of the setting robot.publish_s, the longest time between two state messages, s. It is assumed for a
+robot that does not report its own period."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
 """The time that is allowed for delays of the network, s. A robot counts as lost if it has been silent for longer than
-MISSED_PERIODS of its periods plus this time."""
+MISSED_PERIODS times its period, plus this time."""
 
 
 @dataclasses.dataclass
@@ -71,8 +71,9 @@ class Robot:
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """Return how long the robot has shown no sign of life, s. If all messages so far came from the broker's store,
-        this is computed from their newest date, so it is too small if the robot's clock is ahead."""
+        """Return how long the robot has shown no sign of life, s. If all its messages so far came from the broker's
+        store, this is computed from the newest date in them. Then the result is too small if the robot's clock is
+        ahead."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
@@ -97,13 +98,13 @@ class Roster:
 
     def __init__(self) -> None:
         self.robots: dict[str, Robot] = {}
-        """The robots, by their names in topics."""
+        """The robots. Each key is the robot's name as it is in topics."""
         self.strange = 0
         """How many messages could not be read."""
 
     def hear(self, topic: str, payload: bytes, now_s: float, *, retained: bool) -> None:
-        """Add a robot's message to what is known. An empty message removes the robot, because somebody has removed its
-        stored message from the broker."""
+        """Add a robot's message to what is known. An empty message means that somebody has removed the robot's stored
+        message from the broker, so the robot is removed here too."""
         robot, last = topics.robot_of(topic)
         if not payload:
             self.robots.pop(robot, None)
@@ -138,7 +139,7 @@ class Roster:
 
 def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
     """Add the content of a state message to the robot. Raises ValueError, KeyError, TypeError, AttributeError or
-    OverflowError if it is malformed."""
+    OverflowError if the message is malformed."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
     robot.moves = found["moves"] is True

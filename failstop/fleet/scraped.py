@@ -69,7 +69,7 @@ class Server(ThreadingMixIn, WSGIServer):
 
 @contextlib.contextmanager
 def running(server: Server) -> Iterator[int]:
-    """Run the server while the context lasts. Yields its port."""
+    """Make a context in which the server runs. Yields the server's port."""
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:

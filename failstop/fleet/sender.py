@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long to wait until all robots have seen that their wheels are still, s. The time begins when all robots have
-confirmed the stop."""
+"""How long to wait, in seconds, until all robots have seen that their wheels are still, after all have confirmed the
+stop."""
 WAIT_S = 5.0
 """How long to wait for robots that have not confirmed, s, if --wait is not given."""
 TURN_S = 0.05
@@ -61,9 +61,9 @@ class Sender:
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
     def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
-        """Send the stop, and repeat it until all robots have confirmed it. Returns True if all known robots have
-        confirmed the stop, and there is no reason to think that more robots exist. Raises FleetError if the stop could
-        not be given to the broker.
+        """Send the stop, and repeat it until all robots have confirmed it or the time is over. Returns True if all
+        known robots have confirmed the stop, and there is no reason to think that more robots exist. Raises FleetError
+        if the stop could not be given to the broker.
 
         `wait_s`: the longest time to wait. The default is WAIT_S, or longer if the broker may have restarted recently,
         because some robots may still be reconnecting. `progress` is called again and again during the wait.
@@ -148,9 +148,9 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """Send the stop to all robots the first time, and later only to the missing robots, one by one. It is sent to
-        all robots again if more than MANY and more than half of all robots are missing, or if the broker may know more
-        robots than it has named."""
+        """Send the stop. It goes to all robots in three cases: if it is sent for the first time, if more than MANY and
+        more than half of all robots are missing, or if the broker may know more robots than it has named. In all other
+        cases it goes only to the missing robots, one by one."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)

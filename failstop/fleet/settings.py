@@ -22,7 +22,7 @@ PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
 UNIT = "failstop-fleet.service"
 KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
-"""The names of the credentials that systemd may pass to the unit (LoadCredential)."""
+"""The names of the credentials that systemd may pass to the publisher's unit (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 """The allowed names of robots and fleets. They have no `/`, `+` or `#`, because these have a meaning in MQTT topics."""
 
@@ -97,7 +97,8 @@ class FleetSettings:
     """All settings of the fleet, checked."""
 
     def __init__(self, given: dict[str, object]) -> None:
-        """`given`: values, each with its whole key. All other settings have their defaults. Raises SettingError."""
+        """`given`: the values of some settings, by whole keys such as `broker.host`. All other settings have their
+        defaults. Raises SettingError."""
         for key in sorted(set(given) & set(GONE)):
             raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
@@ -127,8 +128,8 @@ class FleetSettings:
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """Return the path of a file with a secret. It is systemd's credential with this name if there is one, else the
-        value of the setting."""
+        """Return the path of a file with a secret. If systemd has passed the credential `credential`, this is its file.
+        Otherwise it is the file that the setting `key` names."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
@@ -142,9 +143,9 @@ class FleetSettings:
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """Return the robot's name in the fleet. It is the setting robot.id, or else the computer's host name. If the
-        service `name` does not have the default name, "-" and its name are added. Raises SettingError if the host name
-        can't be a robot's name."""
+        """Return the robot's name in the fleet: the setting robot.id, or the computer's host name if that setting is
+        empty. If `name`, the name of the service, is not the default one, "-" and `name` are added. Raises SettingError
+        if the host name is needed but can't be a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()

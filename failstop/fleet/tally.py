@@ -71,7 +71,7 @@ class Tally:
         self._doubled: set[str] = set()
         """Robots whose publishers report that another publisher uses the same name."""
         self._since_s: dict[str, float] = {}
-        """When each robot's connection to the broker began, as its answer reports it."""
+        """When each robot's connection to the broker began, computed from the robot's newest answer."""
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str, publisher: str = "") -> None:
@@ -105,8 +105,8 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Keep a robot from counting as confirmed if two publishers use its name, or if its version is too old to
-        notice a second publisher."""
+        """Decide if a robot can't count as confirmed. This is so if two publishers use its name, or if its version of
+        failstop is too old to notice a second publisher."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # One publisher's connection has ended, but another publisher answers.
@@ -137,8 +137,8 @@ class Tally:
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """Return the robots that have reported this level. If two publishers use a robot's name, the robot is left out,
-        because nobody knows which of the two robots has answered."""
+        """Return the robots that have reported this level. Robots that can't count as confirmed are left out. For
+        example, if two publishers use one name, nobody knows which of the two robots has answered."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
@@ -165,8 +165,8 @@ class Tally:
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Return the robots that have been connected for less than STABLE_S. Two robots with the same name never stay
-        connected longer, because each ends the other's connection again and again."""
+        """Return the robots that have been connected for less than STABLE_S. Two clients with the same client name
+        never stay connected longer, because each ends the other's connection again and again."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:

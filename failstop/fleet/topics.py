@@ -3,7 +3,9 @@
 failstop/v1/FLEET/stop                      to all robots: stop
 failstop/v1/FLEET/stop/ROBOT                to one robot: stop
 failstop/v1/FLEET/answer/STOP_ID/ROBOT      the robot's answer to this stop
-failstop/v1/FLEET/robot/ROBOT/connection    retained, as are the robot's state and its last event
+failstop/v1/FLEET/robot/ROBOT/connection    the robot's connection (retained)
+failstop/v1/FLEET/robot/ROBOT/state         the robot's state (retained)
+failstop/v1/FLEET/robot/ROBOT/event         the robot's last event (retained)
 """
 
 from __future__ import annotations

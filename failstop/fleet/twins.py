@@ -82,8 +82,10 @@ class Twins:
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
         """Other publishers that have used this robot's name, as known from the message that the broker had stored
-        before this publisher's first connection. The publisher that made the message has the message's date, if there
-        is one. All others have infinity. These publishers may have ended, and their clocks may have been ahead."""
+        before this publisher's first connection. They may have ended since. The value is a date, and only a message
+        with a later date suggests that the publisher still runs. For the publisher that made the stored message, it is
+        the date of that message, because the publisher's clock may be ahead. For all others, or if that message has no
+        date, it is infinity."""
 
     def connected(self) -> None:
         """Note a new connection to the broker. Call this before hear(), because the broker first sends its stored
@@ -91,7 +93,7 @@ class Twins:
         self._connections += 1
 
     def heard(self) -> list[str]:
-        """Return the numbers to list in this publisher's next messages, the oldest first."""
+        """Return the numbers to list in this publisher's next messages, in the order in which they were first heard."""
         return [number for number in self._heard if number]
 
     def hear(self, payload: bytes, *, retained: bool) -> None:
@@ -118,7 +120,7 @@ class Twins:
             self.others.add(said.number)
 
     def _later(self, said: Said) -> bool:
-        """Return True if the message is dated after this publisher's start, so that its sender seems to be running now.
-        This is not certain, because a clock may be wrong. But if another publisher hangs before it has listed any
-        number, the date of its message is the only sign of that publisher."""
+        """Return True if the date of the message suggests that its sender is running now, because it is later than this
+        publisher's start. This is not certain, because a clock may be wrong. But if another publisher hangs before it
+        has listed any number, such a date is the only sign of it."""
         return said.dated_s is not None and said.dated_s > max(self._started_s, self._kept_s.get(said.number, 0.0))

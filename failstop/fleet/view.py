@@ -22,7 +22,7 @@ ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
 broker could send a long text, which must not push everything else off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
-"""How old the state of a connected robot may be, s, until it is shown as old. A robot publishes a new state at least
+"""The age in seconds from which the state of a connected robot is shown as old. A robot publishes its state at least
 every 30 s."""
 ROLES = {
     verdict.DRIVING: OK,
@@ -59,7 +59,7 @@ def word(robot: Robot, now_s: float, unix_s: float) -> str:
 
 
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
-    """Return a line that explains the word about the robot's wheels."""
+    """Return a line that explains the result of word()."""
     if robot.connection == message.OFFLINE:
         return "its publisher was ended, so nobody here knows what the robot does"
     if robot.lost(now_s, unix_s):
