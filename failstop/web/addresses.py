@@ -9,7 +9,8 @@ from typing import Any
 HERE = ("127.", "::1", "fe80")
 EVERYWHERE = ("0.0.0.0", "::", "")
 QUIET = 1
-"""The margin around a QR code, in the code's squares. A small margin is enough, because a terminal has a margin too."""
+"""The margin around a QR code, in squares of the code. A small margin is enough, because a terminal has a margin
+too."""
 
 
 def own_addresses() -> list[str]:
@@ -26,8 +27,8 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """Return the page's addresses for a phone, the best one first. `found` is the result of Page.addresses(). Behind a
-    proxy, the only address is the address of the proxy."""
+    """Return the addresses at which a phone finds the page, the best one first. If the page is behind a proxy, this is
+    only the proxy's address. `found`: the result of Page.addresses()."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 

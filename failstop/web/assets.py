@@ -11,13 +11,13 @@ from pathlib import Path
 FOLDER = Path(__file__).parent / "page"
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml"}
 WITHIN = {"stop.css": "style-src", "stop.js": "script-src 'self'", "page.css": "style-src"}
-"""The files that are included in page.html, in place of a comment with the file's name. Each has the directive of the
-Content-Security-Policy that allows its text."""
+"""The files whose text is put into page.html, in place of a comment with the file's name. The value is the directive of
+the Content-Security-Policy that allows this text."""
 INDEX = "/"
 
 
 def load() -> dict[str, tuple[bytes, bytes, str, str]]:
-    """Return all files by their paths: (content, gzip-compressed content, content type, additions to the
+    """For each file, by its path, return (content, gzip-compressed content, content type, additions to the
     Content-Security-Policy). The additions allow the styles and scripts inside the page, by their hashes."""
     page, allowed = _text("page.html"), dict[str, str]()
     for name, directive in WITHIN.items():

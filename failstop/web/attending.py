@@ -1,5 +1,5 @@
-"""Attending: reports to the gate that an operator is present, once the operator's device has proved it. If several
-operators are present, only the operator with the newest proof is reported. The gate alone decides when a proof is too
+"""Attending: reports to the gate that an operator is present, after the operator's device has proved this. If several
+operators are present, only the one with the newest proof is reported. The gate alone decides when a proof is too
 old."""
 
 from __future__ import annotations

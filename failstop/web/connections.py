@@ -36,7 +36,7 @@ MOST_BODY = 4 * 1024
 
 class Places(Generic[T]):
     """A limited number of places for connections. If all places are taken, a new connection still gets one, because it
-    may be a STOP. The address that holds the most places then loses its oldest connection."""
+    may be a STOP. In exchange, the network address that holds the most places loses its oldest connection."""
 
     def __init__(self, most: int) -> None:
         self._most = most

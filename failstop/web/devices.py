@@ -1,7 +1,7 @@
 """Devices: the paired devices, and the code that pairs a new one. A paired device has a token. The token allows it to
 do more than watch and stop, for example to reset a stop and to enable motion. Pure.
 
-The page stores only the hash of a token, so that nobody can get a token by reading the file.
+The page stores only the hash of a token, so that nobody can get a token by reading the page's files.
 """
 
 from __future__ import annotations

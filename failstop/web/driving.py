@@ -1,9 +1,10 @@
 """Driving: lets an operator drive with the page's thumb stick. The operator's device must be paired, and must prove
 that the operator is present.
 
-A command arrives together with the device's answer to a nonce of the robot. The robot treats the command as if it had
-arrived when the nonce was made. So a command that the network has delayed does not look fresh. The gate obeys the
-command for the timeout of its source, 0.3 s, and applies the speed limits.
+The robot sends nonces, which are random texts, and the device answers them (lease.py). A driving command arrives
+together with such an answer. The robot treats the command as if it had arrived when the nonce was made, so a command
+that the network has delayed does not look fresh. The gate obeys the command for the timeout of the command's source (by
+default 0.3 s), and applies the speed limits.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 SOURCE = "page"
 """The source for the page's commands, if the settings declare it. Otherwise the page commands as cmd_vel."""
 OTHER_S = 0.5
-"""How long another person must wait after the driver's last command, s."""
+"""How long after the driver's last command another person must wait before driving, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
@@ -60,16 +61,16 @@ class Driving:
         self._chosen: set[str] = set()
         """The ids of devices whose operators have chosen a speed limit since they began to attend."""
         self._spent: set[Viewer] = set()
-        """Viewers who held the stick while motion was disabled. Their stick moves nothing until they let go of it, even
-        if motion is enabled again."""
+        """Viewers whose stick moves nothing until they let go of it. While they held it, motion was disabled, or one of
+        the values in _taken changed. Enabling motion again does not help."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each viewer who holds the stick, the robot's epoch, and the time at which motion was last enabled (ns).
-        Both are from the moment at which the viewer took hold of the stick. If either has changed since then, the
-        viewer must let go of the stick before driving again."""
+        """For each viewer who holds the stick: the robot's epoch, and the time at which motion was last enabled (ns),
+        as they were when the viewer took hold of the stick. If one of them changes, the viewer must let go of the stick
+        before driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """Return True if the operator of this device has chosen a speed limit. Also return True if no choice is needed,
-        because driving is off or the device is not paired."""
+        """Return True if the operator of this device has chosen a speed limit, or need not choose one, because driving
+        is off or the device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:

@@ -23,8 +23,8 @@ HEADER = "X-Failstop"
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""The accepted values of the header Sec-Fetch-Site. They mean that the request comes from this page, that the person
-has opened the address directly, or (if empty) that the browser has not sent the header."""
+"""The accepted values of the header Sec-Fetch-Site. "same-origin": the request comes from this page. "none": the person
+has opened the address directly. Empty: the browser has not sent the header."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -62,8 +62,8 @@ class PageRequest:
 
 
 def origin_of(setting: str) -> str:
-    """Check and normalize the setting web.origin, which is the page's origin behind a proxy. Returns "" if it is not
-    set. Raises FailstopError."""
+    """Check and normalize the setting web.origin, which is the page's origin behind a proxy. Returns "" if the setting
+    is empty. Raises FailstopError."""
     found = setting.lower().rstrip("/")
     scheme, _, host = found.partition("://")
     if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
@@ -92,8 +92,8 @@ def host_of(header: str) -> str:
 
 
 def is_address(host: str) -> bool:
-    """Return True if the host is an address, not a name. A page that was opened at an address must come from the robot,
-    because no other site can make an address point to the robot."""
+    """Return True if the host is an address, not a name. If a request names the robot by its address, its page was
+    opened at this address, so it comes from the robot. Another site can make only names point to the robot."""
     try:
         ipaddress.ip_address(host)
     except ValueError:

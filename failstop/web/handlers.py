@@ -72,7 +72,7 @@ class Guarded(RequestHandler):
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
     def body(self) -> dict[str, Any]:
-        """Return the JSON object that the request contains, or an empty one."""
+        """Return the JSON object in the request's body, or an empty object if there is none."""
         return messages.read(self.request.body)
 
     @property
@@ -152,8 +152,8 @@ class StopHandler(Guarded):
 
 
 class Check(Guarded):
-    """Answers a test request, which passes the same checks as STOP but does not stop the robot. The page sends it when
-    it opens, to find out whether the robot accepts its requests."""
+    """Answers a test request, which passes the same checks as STOP but does not stop the robot. The page sends this
+    request when the page is opened, to find out whether the robot accepts its requests."""
 
     def post(self) -> None:
         """Answer that the request was accepted."""
@@ -164,7 +164,7 @@ class Me(Guarded):
     """Tells the page what this device may do."""
 
     def get(self) -> None:
-        """Answer with the device's name if it is paired, and whether it may drive."""
+        """Answer with the name of this device (null if it is not paired), and whether the device may drive."""
         device = self.device()
         drives = device is not None and self.page.driving.on
         self.finish(

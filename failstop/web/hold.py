@@ -1,9 +1,10 @@
 """Hold: makes sure that a person really holds a button for two seconds. It uses the page's messages and the robot's
 clock. Pure: times are arguments (time.monotonic()).
 
-The page sends a message when the hold begins, and then ten per second while it lasts. After two seconds the robot asks
-the page whether the button is still held, and the page must confirm it. If any of these messages comes too late, the
-hold fails. So a frozen page or a slow network can't send a request for a button that was released long ago.
+The page sends a message when the person presses the button, and then ten messages per second while the button is held.
+After two seconds the robot asks the page whether the button is still held, and the page must confirm it. If any of
+these messages comes too late, the hold fails. So a frozen page or a slow network can't send a request for a button that
+was released long ago.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class Hold:
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """Return True at the first call after the button has been held for HOLD_S, else False. If True, the caller must
-        ask the page to confirm the hold."""
+        """Return True only once, at the first call after the button has been held for HOLD_S. The caller must then ask
+        the page to confirm the hold."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s

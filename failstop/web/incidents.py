@@ -1,5 +1,5 @@
-"""Incidents: lists the saved incidents as cards, and gets their stories and pictures. It runs `failstop incident` in a
-separate process to make them, because drawing needs matplotlib, which takes several times the memory of the whole page.
+"""Incidents: lists the saved incidents as cards, and gets their stories and pictures. `failstop incident` makes these
+in a separate process, because drawing needs matplotlib, which takes several times the memory of the whole page.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Incidents:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """Return the story's lines, with times in ms from the cause, and whether the incident has a picture. Each is
-        None until it is known."""
+        """Return two values: the story's lines, with times in ms from the cause; and True or False for an incident with
+        or without a picture. Each value is None until it is known."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
@@ -106,8 +106,8 @@ class Incidents:
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes | None:
-        """Run `failstop incident` with these arguments, and return its output. Return b"" if it failed. Return None
-        if it was not ready in time; it then runs again when the next viewer asks."""
+        """Run `failstop incident` with these arguments, and return its output. Returns b"" if the command failed, and
+        None if it took longer than MAKE_S. After None, the command runs again when the next viewer asks."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
@@ -138,8 +138,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the story's lines from the seconds around the cause, in their order. If there are more than LINES, only
-    the LINES lines closest to the cause are returned."""
+    """Return the story's lines that are at most NEAR_MS from the cause, in their order. If there are more than LINES of
+    them, return only those closest to the cause."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

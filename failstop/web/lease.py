@@ -46,8 +46,8 @@ class Lease:
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. Returns True if it proves that the device was present later than earlier answers have
-        proved. `said`: a command that came with the answer and is proven by it."""
+        """Check an answer. Returns True if the answer is right, and its nonce is newer than the nonces of all earlier
+        right answers. `said`: a command that came with the answer and is proven by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

@@ -35,7 +35,7 @@ ID_BYTES = 4
 REVOKED = 1008
 """The code that closes the websocket of a device that was unpaired. RFC 6455 calls it "policy violation"."""
 MOST_STOPS = 64
-"""How many STOP websockets may be open. A page without a STOP websocket sends its STOP as a plain request."""
+"""How many STOP websockets may be open. A page without a STOP websocket sends its STOP as an HTTP request."""
 
 
 class Page:
@@ -79,8 +79,8 @@ class Page:
         return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
-        """Return where the page listens: its scheme, address and port, its certificate's fingerprint, and its origin
-        behind a proxy."""
+        """Return the scheme, address and port at which the page listens, the fingerprint of its certificate, and, if
+        there is a proxy, the page's origin behind the proxy."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
         return {**where, "origin": self.origin}
@@ -152,7 +152,7 @@ class Page:
         viewer.show(time.monotonic(), time.time())
 
     def leave(self, viewer: Viewer) -> None:
-        """Remove a viewer, and end its operator's attendance. Without viewers, the state is not read."""
+        """Remove a viewer, and end its operator's attendance. If no viewer is left, stop reading the robot's state."""
         self.attending.end(viewer)
         if viewer in self.viewers:
             self.viewers.remove(viewer)

@@ -21,7 +21,7 @@ MOST = 16 * 1024
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
     """Return the answer to a plain HTTP request on the HTTPS port, with a sentence for the person. If the request names
-    this robot as its host, the answer also redirects the browser to HTTPS. The first bytes of the request may be
+    this robot as its host, the answer also redirects the browser to HTTPS. `request`: its first bytes may be
     missing."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""

@@ -50,7 +50,8 @@ def application(page: Page) -> Application:
 
 
 async def serve(name: str, settings: Settings, source: Source) -> None:
-    """Serve the page until SIGTERM or SIGINT. Raises FailstopError, or OSError if it can't listen at the address."""
+    """Serve the page until SIGTERM or SIGINT. Raises FailstopError, or OSError if the page can't listen at its
+    address."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)  # malformed requests must not fill the journal
     # tornado's timers use the wall clock. If it were set back by an hour, the state would not be read for an hour.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]

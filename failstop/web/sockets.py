@@ -41,7 +41,7 @@ class Socket(Guarded, WebSocketHandler):
             self.page.let_in(self.ws_connection.stream)
 
     def later(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Start sending a message, without waiting for it. Returns None if the connection is closed."""
+        """Start sending a message, without waiting until it is sent. Returns None if the connection is closed."""
         try:
             return asyncio.ensure_future(_quiet(self.write_message(message)))
         except WebSocketClosedError:
@@ -96,8 +96,9 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Let the guard check the request. If the page already has MOST_VIEWERS, a paired device takes the place of a
-        viewer that is not paired, and every other new viewer is refused."""
+        """Let the guard check the request. If the page already has MOST_VIEWERS viewers, there are two cases. If the
+        new viewer's device is paired and that of another viewer is not, the new viewer takes that viewer's place.
+        Otherwise the new viewer is refused."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]

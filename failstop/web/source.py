@@ -1,4 +1,5 @@
-"""Source: where the page's settings come from. It is shown to people, so that they know which file to change. Pure."""
+"""Source: where the page's settings come from. This is shown to people, so that they know which file to change.
+Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ class Source:
     """Where the page's settings come from."""
 
     path: str = ""
-    """The path of the settings file. Empty if no file was read. Without a file, the settings come from the running
+    """The path of the settings file. Empty if no file was read. In this case the settings come from the running
     service, or all of them have their defaults."""
     running: bool = False
     """True if the settings come from the running service."""

@@ -72,8 +72,8 @@ class Pipe:
 
 
 class Asked:
-    """Requests the stops that pages ask for. A page may send the same stop twice with the same id, by websocket and as
-    a plain request, but the stop is requested only once."""
+    """Requests the stops that pages ask for. A page may send one stop twice, by websocket and as an HTTP request. Both
+    have the same id, so the stop is requested only once."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -90,7 +90,7 @@ class Asked:
 
     def _ask(self, who: str, known: str) -> int:
         """Request a stop, unless a stop with this id was requested before. Returns the time of the request
-        (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it could not be requested."""
+        (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if the stop could not be requested."""
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
@@ -104,8 +104,9 @@ class Asked:
 
 async def written(name: str, asked_ns: int) -> bool:
     """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner
-    or the supervisor reports that it has written a stop. The supervisor does so if no port owner can. Returns False if
-    no stop was written within WRITTEN_S, or if no service is running."""
+    reports that it has written a stop since then. If no port owner can write the stop, the supervisor writes it, and
+    the supervisor's report counts. Returns False if no stop was written within WRITTEN_S, or if no service is
+    running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

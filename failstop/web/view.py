@@ -76,9 +76,9 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """Return the values that change all the time, as a list: forward, left and turning speed, vibration (mrad/s, or
-    None while the IMU is silent), the age of the gate's record (ms), the steering in words, and what the wheels are
-    seen to do."""
+    """Return the values that change all the time, as a list. Its items are the speed forward (m/s), the speed to the
+    left (m/s), the turning speed (rad/s), the vibration (mrad/s, None while the IMU is silent), the age of the gate's
+    record (ms), the steering in words, and what the wheels are seen to do."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
@@ -119,8 +119,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """Return the last stop, with its three proofs in words. The text of a proof is empty if the proof is missing, and
-    `lacks` then has the reason, if it is known. None if there was no stop."""
+    """Return the last stop, with its three proofs in words. If a proof is missing, its text is empty, and `lacks` has
+    the reason, if it is known. None if there was no stop."""
     if stop is None:
         return None
     return {
@@ -138,7 +138,8 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def unlatched_of(event: Event | None) -> dict[str, Any] | None:
-    """Return what stopped the wheels after the last latched stop, and why it has no times."""
+    """Return what stopped the wheels after the last latched stop, and a text that says why no times are known for it.
+    None if nothing did."""
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
 
 
@@ -176,8 +177,8 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """Return, for each of the requests reset, enable and disable, a few words that say why it would be refused at
-    present. Empty for a request that would be granted."""
+    """For each of the requests reset, enable and disable, say in a few words why it would be refused at present. The
+    text is empty if the request would be granted."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),

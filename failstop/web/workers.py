@@ -10,8 +10,8 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
-"""Requests for which a person only touches a button. For all other requests, and for raising the speed limit, the
-person must hold the button."""
+"""Requests that need only a touch of a button: `disable`, and also `limit` if it does not raise the speed limit. For
+everything else, the person must hold the button."""
 MOST_AT_WORK = 4
 
 
