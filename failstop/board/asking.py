@@ -1,12 +1,11 @@
 """Asking: finds out which board is on an open port. It asks questions that move no wheel.
 
 Each kind of board has its own questions and its own stop. failstop tries one kind after another, until a question is
-answered. A kind of board that can't be asked is recognised by its reports. Before each question, failstop writes the
-stop of the kind that it asks for, because a stop ends any frame that was cut short. Every board that failstop describes
-ignores the stops and the questions of all other kinds, or at least never moves because of them, at any baud rate
-(tests/board/test_asking.py). But failstop can't promise this for a board that you have described yourself. So if
-board.kind names your own board, failstop writes only your board's stop and questions, and just listens for the kinds
-that it describes itself.
+answered. A kind of board that has no questions is recognised by its reports. Before each question, failstop writes the
+stop of the same kind, because a stop ends any frame that was cut short. The stops and the questions of one kind never
+move a board of another kind that failstop describes, at any baud rate (tests/board/test_asking.py). But failstop can't
+promise this for a board that you have described yourself. So if board.kind names your own board, failstop writes only
+your board's stop and questions, and just listens for the kinds that it describes itself.
 """
 
 from __future__ import annotations
@@ -95,10 +94,11 @@ class Heard(Data):
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Yield the attempts to find the board, in order. Each attempt is (time, kind): when to ask, in ns after the port
-    was opened, and which kind of board. The first of `boards` is the one that the user wants, so it comes first. Boards
-    without questions come next, because failstop only listens for them. Set `resets` if opening the port may have reset
-    the board. Each board that is deaf after a reset then gets a second, later attempt."""
+    """Yield the attempts to find the board, in order. Each attempt is (time, kind): the time of the attempt, in ns
+    after the port was opened, and the kind of board. The first of `boards` is the one that the user wants, so it comes
+    first. Boards without questions come next, because failstop writes nothing to them. `resets` is True if opening the
+    port may have reset the board. If so, each kind that hears nothing after a reset gets a second attempt, when it
+    hears again."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -110,8 +110,9 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
     """Try one kind of board after another, until one of them is found on the port. Returns the result of each attempt,
     so a board that was found is the last in the list. The caller must already have written the stop of the first board.
-    If no board is found at the usual baud rates, the other baud rates of each board are tried too. Set `strangers` to
-    write only to the first board, and just listen for all others. Raises OSError if the device is gone."""
+    If no board is found at the usual baud rates, the other baud rates of each board are tried too. If `strangers` is
+    True, failstop writes only the bytes of the first board, and just listens for all others. Raises OSError if the
+    device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.
@@ -138,9 +139,10 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
     """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns how long the
     board took to answer, in ms, or None if it did not. Raises OSError if the device is gone.
 
-    The board's stop is written before each question except the first, and with `stop` before the first one too. The
-    board may have received bytes that were meant for another kind of board, and may have read them as the beginning of
-    a packet. The bytes of the stop then complete that packet."""
+    If `stop` is True, the board's stop is written before each question. If it is False, the first question is written
+    without a stop before it. The stop helps if the board has received bytes that were meant for another kind of board,
+    and has read them as the beginning of a packet: the bytes of the stop complete this packet, so the board reads the
+    question."""
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):

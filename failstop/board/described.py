@@ -58,7 +58,8 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Return all reports in these bytes, and the pings that these bytes answer."""
+        """Return all reports that these bytes complete. If a report answers pings, a HEARD_PONG with these pings
+        follows it."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -85,7 +86,7 @@ def _said(sample: Sample) -> list[Said]:
 
 
 def _plausible(sample: Sample) -> list[Said]:
-    """Return the reports in a sample. Raises one of IMPOSSIBLE."""
+    """Return the reports in a sample. Raises one of plausible.IMPOSSIBLE for an impossible value."""
     if isinstance(sample, Wheels):
         return [(HEARD_WHEELS, (_wheels(sample.speeds, 0), _wheels(sample.positions, 0)))]
     if isinstance(sample, Obeyed):
@@ -130,8 +131,7 @@ def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
 
 
 class Described(Board):
-    """A board that is described by a Wire. The part `motion` of the Wire says how many speeds a frame of this board
-    has, and in which unit."""
+    """A board that is described by a Wire. The Wire's `motion` has the number of speeds in a frame, and their unit."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
@@ -189,15 +189,15 @@ class Described(Board):
         return None if found is None else tuple([speed / self.per_rps for speed in found])
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds of a motion frame or a stop. None if the board does not report the command that it obeys.
-        Also None if the board has pings, because only a board without pings needs this (handled.Echo)."""
+        """Return the speeds of a motion frame or a stop, for handled.Echo. None if the board does not report the
+        command that it obeys. Also None if the board has pings, because Echo is only for boards without pings."""
         if not self.echo_ns or self.pings:
             return None
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """If the description can mark frames (Motion.marked), return the frame with the mark for this turn, which makes
-        it slightly slower. Otherwise return the frame unchanged."""
+        """If the description can mark frames (Motion.marked), return the frame with the mark for this turn, so some
+        frames are slightly slower. Otherwise return the frame unchanged."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:

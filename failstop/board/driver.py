@@ -12,8 +12,9 @@ A language returns rows of four kinds:
 - DriverFrame: bytes for the board that move nothing, for example a light or a question.
 - DriverRefusal: something that the driver asked for and does not get. It is shown to people once for each driver.
 
-One request may need several rows. A refused question needs a refusal, and an answer that keeps the driver going. Raw
-PWM needs a refusal, a motion of zeros, and an answer.
+One request may need several rows. For example, a refused question becomes a DriverRefusal, and a DriverAnswer so that
+the driver does not wait forever. A refused command for raw PWM becomes a DriverRefusal, a DriverMotion of zeros, and a
+DriverAnswer.
 """
 
 from __future__ import annotations
@@ -59,10 +60,10 @@ if TYPE_CHECKING:
 
 
 class DriverMotion(Data):
-    """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop, and mean
-    that the driver no longer drives. If a frame of the driver names only some wheels, the other wheels keep the speeds
-    that the driver commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
-    service."""
+    """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop. Unless
+    `refused` is True, they also mean that the driver has ended driving. If a frame of the driver names only some
+    wheels, the other wheels keep the speeds that the driver commanded before. A language refuses what its board would
+    refuse, and leaves the speed limits to the service."""
 
     speeds: Sequence[float]
     refused: bool = False
@@ -80,12 +81,13 @@ class DriverAnswer(Data):
 
 
 class DriverFrame(Data):
-    """Bytes for the board: one of its questions, or a frame that its wire.aux lets pass. The guard passes on at most
-    fifty frames per second. If several frames of the same kind wait, only the newest is passed on."""
+    """Bytes for the board: one of the board's questions, or a frame that `aux` of the board's Wire accepts. The guard
+    passes on at most fifty frames per second. If several frames of the same kind wait, only the newest is passed on."""
 
     data: bytes
     kind: str = ""
-    """What the frame sets. A newer frame of the same kind replaces a frame that still waits."""
+    """What the frame sets or asks for, for example "counts". A newer frame of the same kind replaces an older one that
+    has not been passed on yet."""
 
 
 class DriverRefusal(Data):
@@ -99,9 +101,9 @@ class DriverRefusal(Data):
 
 
 def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
-    """Make the DriverLanguage for one driver of the board that the setting board.kind names. Returns None if nobody has
-    described what a driver may write to this board. `settings` has every setting by its full key. Raises ValueError if
-    a setting does not fit the board."""
+    """Make the DriverLanguage for one driver. `kind` is the setting board.kind, and `settings` has every setting by its
+    full key. Returns None if nobody has described what a driver may write to this board. Raises ValueError if a setting
+    does not fit the board."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):

@@ -22,7 +22,7 @@ class ArmFacts(Data):
     turn: int
     """How many pulses make a whole turn."""
     wheels: tuple[int, ...] = ()
-    """The ids of servos on the same bus that turn the wheels. No joint may use these ids."""
+    """The ids of the wheels' servos, if they are on the same bus as the arm. No joint may use these ids."""
     joint: Mapping[str, float] = {}
     """Default values for the settings of a joint, by key. Only defaults that differ from the usual ones are listed."""
 
@@ -52,14 +52,14 @@ class Facts(Data):
     arm: ArmFacts | None = None
     """The arm's servos. None if the board has no servos for an arm."""
     steers: Mapping[str, tuple[int, int, int]] = {}
-    """The kinds of servos that can steer a base on this board. Each value is (fewest pulses, most pulses, highest id).
-    Empty if the board can't steer."""
+    """The kinds of servos that can steer a base on this board, such as "pwm", with (fewest pulses, most pulses, highest
+    id) for each. Empty if the board can't steer."""
     layouts: Mapping[str, int] = {}
-    """How many speeds a frame sets on a base with one of these layouts (the setting wheels.layout), where this differs
-    from `speeds`."""
+    """How many speeds a frame sets, by the base's layout (the setting wheels.layout). Only layouts for which the number
+    differs from `speeds` are listed."""
     most: int = 0
-    """The most speeds that a frame can set. A frame has more speeds than the layout needs only if the settings give a
-    wheel a higher id. 0 means that a frame never has more."""
+    """The most speeds that a frame can set. If the settings give a wheel a higher id than the layout needs, a frame has
+    more speeds, up to this number. 0 means that no wheel can have a higher id."""
     steered_defaults: Mapping[str, float] = {}
     """Default values of settings for a steered base, by key. Only defaults that differ from the usual ones are
     listed."""

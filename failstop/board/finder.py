@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SEARCH_EVERY_NS = 10_000_000
 """How often sysfs is searched, in ns. A search takes about 0.1 ms."""
 USB_DEPTH = 6
-"""A tty is at most this many directories below its USB device."""
+"""In sysfs, a tty is at most this many directories below its USB device."""
 SERIAL_NODES = ("ttyACM", "ttyUSB")
 
 
@@ -68,8 +68,8 @@ class Device:
 
 def identity(device: str, like: Device | None = None) -> Device | None:
     """Return the USB device to which a tty belongs. `device` is the tty's `device` link in sysfs. Returns None if the
-    tty belongs to no USB device, for example a pty or a serial pin. With `like`, also returns None if the USB device
-    has another vendor or product than `like`."""
+    tty belongs to no USB device, for example a pty or a serial pin. Also returns None if `like` is given and has
+    another vendor or product than the USB device."""
     folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
         if vendor := _line(f"{folder}/idVendor"):
@@ -85,7 +85,7 @@ def identity(device: str, like: Device | None = None) -> Device | None:
 
 
 def of_number(number: int, sysfs: str = "/sys") -> Device | None:
-    """Return the USB device that has this character device number. None if no USB device has it."""
+    """Return the USB device to which the tty with this device number belongs. None if it belongs to no USB device."""
     return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
 
 
@@ -102,8 +102,8 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
     """Return (others, ambiguous). `others` are the other serial ports with the same vendor and product, by path.
-    `ambiguous` is True if failstop can't distinguish one of these ports from `own`, because both have the same serial
-    number, or because both have no serial number."""
+    `ambiguous` is True if failstop can't distinguish `own` from one of these ports, because the two have the same
+    serial number, or because neither has one."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -124,8 +124,8 @@ class Search:
     def __init__(
         self, board: Device, neighbours: Iterable[Device], devices: Iterable[Device], at_path: Device | None
     ) -> None:
-        """`neighbours` are other devices that were present together with the board. `at_path` is the device at the path
-        in the settings."""
+        """`neighbours` are the devices that were present together with the board before the board was lost. `at_path`
+        is the device at the path in the settings."""
         self.board = board
         self.neighbours = frozenset(neighbours)
         self.devices = frozenset(devices)
@@ -141,8 +141,8 @@ class Search:
         return [] if self.board.serial else self._moved()
 
     def _moved(self) -> list[Device]:
-        """Return the devices that have the same description as the board (vendor, product, serial number). Neighbours
-        that are still in their own sockets don't count."""
+        """Return the devices that have the same description as the board (vendor, product, serial number), except
+        neighbours that are still in their own sockets."""
         return [device for device in self.devices - self.neighbours if device.what == self.board.what]
 
     def in_its_stead(self) -> list[Device]:
@@ -161,7 +161,7 @@ CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
 )
 """The rules that choose the device that is the board, as (rule, certain). The first rule that finds a device decides.
 If it finds several devices, none of them is chosen. If `certain` is False, failstop accepts the device as the board
-only after it has answered as the board does."""
+only after the device has answered as the board does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
@@ -199,7 +199,7 @@ class Finder:
 
     @property
     def settled(self) -> bool:
-        """True while the open device is the known board. Also True if no board was ever known."""
+        """True if the device that was opened last is the known board. Also True if no board is known yet."""
         return self._held == self._board
 
     def believe(self) -> None:
@@ -257,7 +257,7 @@ class Finder:
             return None
 
     def _devices(self) -> dict[str, Device]:
-        """Return the devices that have the board's vendor and product, by path. The device at the settings' path is
-        listed under that path."""
+        """Return the devices with the board's vendor and product, by path. The path in the settings is included with
+        its device, even if that device has another vendor or product."""
         at_path = self._at_path()
         return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

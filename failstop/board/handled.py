@@ -1,14 +1,13 @@
 """Handled: finds out which writes the board has certainly handled. Pure.
 
-An answer does not say which question it belongs to. An echo, which is the board's report of its present command, does
-not say which frame it belongs to. But the board handles frames in the order in which they were written, and its answers
-come back in that order too. So failstop matches each answer with the earliest question that it fits. Even if frames
-were lost, the matched question is the true question or an earlier one, but never a later one. So an old answer can't
-prove a new stop, however late it comes.
+The same few questions are written again and again, and an answer does not say which write it belongs to. Neither does
+an echo, which is the board's report of its present command. But the board handles frames in the order in which they
+were written, and its answers come back in that order too. So failstop matches each answer with the earliest question
+that it fits. If frames were lost, this question may be earlier than the one that the board has answered, but it is
+never later. So an old answer can't prove a new stop, however late it comes.
 
-After frames were lost, failstop may match an answer with a question that is too early. A stop may then be acknowledged
-late or not at all. The matching soon becomes right again, because the questions and the speeds are written in an
-irregular order (schedule.Pings, Motion.marked).
+A match with a question that is too early may acknowledge a stop late, or not at all. The matches soon become right
+again, because the questions and the speeds are written in an irregular order (schedule.Pings, Motion.marked).
 """
 
 from __future__ import annotations
@@ -26,12 +25,11 @@ if TYPE_CHECKING:
 COMMANDED = 255
 """The `index` for Handled.wrote() if a command is written instead of a ping."""
 GIVEN_UP_NS = 10_000_000_000
-"""How long after a question its answer may still come, in ns. All proofs of a stop rely on this limit. If a question
-and its answer together could be delayed for longer, failstop could take a late answer to an old question for the answer
-to a new question."""
+"""How long after a question its answer may still come, in ns. All proofs of a stop rely on this limit: if an answer
+came even later, failstop could take it for the answer to a newer question."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""If several processes write a stop within this time, in ns, their stops count as one, because all of them have the
+"""Stops of several processes count as one stop if they were written within this time, in ns, because they then have the
 same cause."""
 MARGIN_NS = 100_000_000
 """How much earlier than its set time a board's own watchdog may act, in ns."""
@@ -48,9 +46,9 @@ class Answers:
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """Find the earliest open question to which this answer fits. Returns the time in ns at which this question was
-        asked, or 0 if the answer fits no open question. `indices` are the questions that have this answer. The found
-        question is closed. All earlier questions are closed too, because their answers were lost."""
+        """Find the earliest open question to which an answer fits. `indices` are the indices of the questions that have
+        this answer. Returns the time in ns at which the found question was asked, or 0 if the answer fits no open
+        question. Closes the found question, and all earlier ones, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -69,20 +67,19 @@ class Echo:
 
     The board's report of the command that it obeys is called an echo. An echo of zeros proves a stop only if an echo of
     motion came before it, because a board whose command wire is broken also reports zeros. The board also reports zeros
-    after its own watchdog has acted. So the motion must have been written so recently that the watchdog can't have
-    acted yet.
+    after its own watchdog has acted. So a stop counts as proved only if that motion was written so recently that the
+    watchdog can't have acted yet.
     """
 
     def __init__(self, fades_ns: int) -> None:
-        """`fades_ns` is how long after the last frame the board's own watchdog sets the command to zero, in ns. 0 if
-        the board has no watchdog."""
+        """`fades_ns` is the time, in ns, after which the board's own watchdog sets the command to zero if no frame
+        comes. 0 if the board has no watchdog."""
         self._fades_ns = max(1, fades_ns - MARGIN_NS) if fades_ns else 0
         self._open: deque[tuple[tuple[float, ...], int]] = deque(maxlen=COMMANDS_KEPT)
         self._written: tuple[float, ...] | None = None
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
-        """The time when failstop wrote the motion that the board last reported, in ns. 0 if its last report was not
-        motion."""
+        """If the newest echo is motion, the time when failstop wrote this motion, in ns. Otherwise 0."""
         self.faded_ns = 0
         """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
         Otherwise 0."""
@@ -95,8 +92,9 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Return the time in ns at which the stop that the board obeys was written, or 0 if the report proves no stop.
-        `others_ns` are the times at which other processes last wrote a stop."""
+        """Handle the board's report that it obeys a command with these speeds. If it proves that the board obeys a
+        stop, return the time in ns at which this stop was written. Otherwise return 0. `others_ns` has the time, in ns,
+        of the newest stop of each other process."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -166,9 +164,10 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns 0 if the report proves nothing new. Otherwise returns a time
-        in ns. The board has handled everything that was written up to this time. If the last command up to this time
-        was a stop, the board obeys it. `others_ns` is as in Echo.obeyed()."""
+        """Handle a report that came at `came_ns`. If it gives new proof that the board has handled everything that was
+        written up to some time, return this time in ns. Otherwise return 0. If the last command up to the returned time
+        was a stop, the board has received this stop. `others_ns` has the time, in ns, of the newest stop of each other
+        process."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     """A report: its kind (one of the HEARD_ numbers) and its value."""
 
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
-"""The processes that write stops. Each number is the process's row in `repeats_ns`. A program that writes a stop while
-no service runs uses the last row."""
+"""The processes that write stops, each with its row in Board.repeats_ns. A program that writes a stop while no service
+runs uses the last row."""
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
     range(9)
 )
@@ -63,12 +63,12 @@ class WheelReports(Data):
     wraps: float
     """The size of the range in which positions wrap around. 0 means that they never wrap."""
     holds_speed: bool
-    """True if the board measures the speed of each wheel and holds the commanded one. False if it only sets a
+    """True if the board measures the speed of each wheel and keeps it at the commanded speed. False if it only sets a
     voltage."""
     own_scale: bool
-    """True if the reports do not depend on the setting board.per_rps, so they reveal an error in it."""
+    """True if the reports do not depend on the setting board.per_rps, so they reveal a wrong value of this setting."""
     position_step: float = 0.0
-    """Positions are rounded towards zero to a multiple of this number. 0 means that they are too fine for this to
+    """Positions are rounded towards zero to a multiple of this number. 0 means that the steps are too small to
     matter."""
 
 
@@ -78,18 +78,22 @@ NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=F
 
 
 class Hearing:
-    """Decodes the board's bytes into reports. A report is a pair of a kind and a value.
+    """Decodes the board's bytes into reports. A report is a pair of a kind and a value. The kinds and their values:
 
-    The value of HEARD_IMU is the acceleration x y z in g, then the turn rate x y z in degrees per second. HEARD_BATTERY
-    has the voltage in mV, and 0 if no battery is connected. HEARD_PAD has the gamepad's buttons (the bits of BUTTONS),
-    hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY has the key's id and the event. HEARD_SERVO has the servo's id,
-    the question and the answer. HEARD_PONG has the indices of the pings that may have been answered. HEARD_WHEELS has
-    (speeds, positions), and each of the two is empty if the board does not report it. HEARD_OBEYED has the speeds of
-    the command that the board follows at the moment. HEARD_HEALTH has a row for each servo: its id, its load (-1 to 1),
-    its temperature in degrees Celsius, and what is wrong with it (the SERVO_ bits of wire.py). HEARD_ODD has the name
-    of a reported value that is impossible, and the value as text. An impossible value counts as not reported.
-    HEARD_RESTARTED has a text that says how the board showed that it restarted. HEARD_FIRMWARE comes once, with the
-    name of the firmware, if the firmware is not the usual one.
+    - HEARD_IMU: the acceleration x y z in g, then the turn rate x y z in degrees per second.
+    - HEARD_BATTERY: the voltage in mV, or 0 if no battery is connected.
+    - HEARD_PAD: the gamepad's buttons (the bits of BUTTONS), hat, lx, ly, rx, ry, and the raw frame.
+    - HEARD_KEY: the key's id and the event.
+    - HEARD_SERVO: the servo's id, the question and the answer.
+    - HEARD_PONG: the indices of the pings that may have been answered.
+    - HEARD_WHEELS: (speeds, positions). Each of the two is empty if the board does not report it.
+    - HEARD_OBEYED: the speeds of the command that the board follows at the moment.
+    - HEARD_HEALTH: a row for each servo, with its id, its load (-1 to 1), its temperature in degrees Celsius, and what is
+      wrong with it (the SERVO_ bits of wire.py).
+    - HEARD_ODD: the name of a reported value that is impossible, and the value as text. Such a value counts as not
+      reported.
+    - HEARD_RESTARTED: a text that says how the board showed that it restarted.
+    - HEARD_FIRMWARE: the name of the firmware, if the firmware is not the usual one. This report comes only once.
     """
 
     __slots__ = ()
@@ -99,7 +103,7 @@ class Hearing:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Forget an incomplete report, for example after the port was reopened."""
+        """Forget the bytes of an incomplete report, for example after the port was reopened."""
         raise NotImplementedError
 
 
@@ -115,8 +119,8 @@ class ServoBus:
     servo."""
     holds_by_goal: bool
     """True if a servo keeps moving to its newest goal after a stop, because a stop does not change the goal. In a
-    stream of moves the goal is only a few degrees ahead. If the servo lags behind the stream, failstop makes the
-    servo's measured position its new goal."""
+    stream of moves the goal is only a few degrees ahead. If the servo has not reached the goal after the stream has
+    ended, failstop makes the servo's measured position its new goal."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
         """Return the frames that stop these servos. failstop appends the frames to the stop burst and writes both in
@@ -139,8 +143,9 @@ class ServoBus:
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """Return the frame that switches a servo's torque on or off. `at` is the servo's present position: a servo that
-        remembers an old goal first gets this position as its goal. Raises FrameError."""
+        """Return the frame that switches a servo's torque on or off. `at` is the servo's present position. On a board
+        whose servos remember an old goal, the frame first makes this position the goal, so that the servo does not
+        jump. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
@@ -149,8 +154,8 @@ class ServoBus:
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """Say why these bytes must not be written as a frame for an arm that has these servos. Returns "" if they may
-        be written. Frames that move the wheels never pass. A frame that passes holds up the board's receiver for
-        servos.HELD_NS at most, unless it is a question."""
+        be written. Frames that move the wheels never pass. Of the frames that pass, only questions may hold up the
+        board's receiver for longer than servos.HELD_NS."""
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
@@ -165,8 +170,8 @@ class ServoBus:
 
 class SteeringFrames:
     """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: the steering frame
-    follows the frame for the wheels in the same write, and the two are accepted or refused together. A stop has no
-    steering frame, so it leaves the angle as it is."""
+    and the frame for the wheels are written together, and are accepted or refused together. A stop has no steering
+    frame, so it leaves the angle as it is."""
 
     __slots__ = ()
 
@@ -189,53 +194,54 @@ class Board:
     name: str
     """The name of the board for people, for example "an Arduino with ros_arduino_bridge"."""
     port: Port
-    """How the board's serial port is set up, and how long the board hears nothing after the port was opened. Motion
-    can't be enabled until the board hears and its opening frames were written."""
+    """How the board's serial port is set up, how long the board hears nothing after the port was opened, and which
+    frames are then written first. Motion can't be enabled until these frames were written."""
     idle_ns: int
-    """How long the line must be silent after a write before anything but a stop may follow, in ns. 0 if it need not be
-    silent. A stop never waits for this."""
+    """How long the line must be silent between a write and the next frame that is not a stop, in ns. 0 if frames may
+    follow each other without a gap. A stop does not wait for this."""
     after_ns: int
-    """How long the line must be silent after a stop, in ns. Another stop of the same writer must wait for this too. 0
-    means that stops may follow each other without a gap. If it is not 0, a stop may be lost, so the wheels count as
+    """How long a process must keep the line silent after its stop, in ns, even before its own next stop. If this is 0,
+    stops may follow each other without a gap. Otherwise the board may lose a stop, so after motion the wheels count as
     moving until the stop was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """The times at which a writer repeats its stop, in ns after its first stop. Each writer has its own row
-    (PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW). The rows may differ, because the writers can't see each other's
-    bytes. If the stops of two writers touch on the line, their next stops then come at different times and do not
-    touch. Some boards lose two stops that touch. For such a board the repeats go on for 0.4 s, which is longer than an
-    adapter stalls, and the writers finish their repeats even if the supervisor dies. When motion ends, the port owner
-    repeats the gate's first frame of zeros at the same times."""
+    """The times, in ns after its first stop, at which a writer repeats its stop. Each writer has its own row
+    (PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW). The writers can't see each other's bytes, so two stops may touch on
+    the line, and some boards lose two stops that touch. For such a board each row has different times, so that the next
+    stops of the two writers don't touch. The repeats for such a board go on for 0.4 s, which is longer than an adapter
+    stalls, and the writers finish them even if the supervisor dies. When motion ends without a stop, the port owner
+    repeats the gate's first frame of zeros at the times of its row."""
     stop: bytes
     """The frame that sets every wheel to zero. motor_speeds() makes exactly these bytes for zeros."""
     burst: bytes
-    """The bytes that stop the wheels, in one write. If the state of the board's receiver makes it miss a burst, it
-    receives one of the repeats."""
+    """The bytes that stop the wheels, in one write. If the board's receiver misses the burst, for example because it
+    waits for the rest of a cut frame, it receives one of the repeats."""
     first_stop: bytes
-    """The beginning of the burst, up to the end of its first stop frame. When a stop is needed, this is written before
-    anything else is done. If it is the whole burst, the burst is not written again right after it."""
+    """The beginning of the burst, up to the end of its first stop frame. When a process notices that another one died,
+    it writes this before it does anything else, and then the burst. If this is already the whole burst, the burst is
+    not written again right after it."""
     refresh: bytes
     """The stop that is written five times per second while the robot is stopped, because the board may have restarted
     or woken up."""
     pings: tuple[bytes, ...]
-    """Questions that move nothing, at most layout.PINGS. The board handles them in order with all other frames. All
-    pings differ, and so do their answers, so an answer shows which ping it belongs to. The answer also proves that the
-    board received this ping whole. Empty if the board can't be asked. The state of its link is then `unasked`, and
-    nothing waits for an answer."""
+    """Questions that move nothing, at most layout.PINGS. The board handles pings and all other frames in the order in
+    which they were written. All pings differ, and so do their answers, so an answer shows which of these pings was
+    asked. The answer also proves that the board received this ping whole. If the board can't be asked, this is empty,
+    the state of the link is `unasked`, and nothing waits for an answer."""
     ping_ns: int
-    """The longest time between two pings that the proofs about this board allow, in ns. 0 means any time."""
+    """The longest time between two pings, in ns, with which stops of this board can be proved. 0 means any time."""
     echo_ns: int
     """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
-    board makes no such reports. If it makes them, only such a report acknowledges a stop. An answer to a ping is then
-    not enough."""
+    board makes no such reports. If the board makes such reports, a stop is acknowledged only after a report of zeros.
+    An answer to a ping is not enough."""
     silent_ns: int
-    """How long the board's reports about its wheels or its IMU must pause before the board counts as restarted, in ns.
-    0 if the board reports nothing."""
+    """How long a pause, in ns, in the board's reports about its wheels or its IMU must be to count as a sign that the
+    board has restarted. 0 if the board reports nothing."""
     arming: bytes
     """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
     restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
-    """How long after the last frame the board's own watchdog acts, in ns. The board then reports a command of zero,
-    which does not prove a stop. 0 if the board makes no such reports, or has no watchdog."""
+    """The time, in ns, after which the board's own watchdog acts if no frame comes. From then on the board reports a
+    command of zero, which does not prove a stop. 0 if the board makes no such reports, or has no watchdog."""
     acknowledged_by: str
     """How the board acknowledges a stop: BY_ANSWER or BY_ECHO. Empty if it acknowledges nothing."""
     observed_by: str
@@ -243,13 +249,14 @@ class Board:
     per_rps: float
     """How many of the board's speed units make one wheel turn per second."""
     scale_assumed: bool = False
-    """True if nobody has confirmed that `per_rps` is right for this robot's motors and encoders, and the board's
+    """True if `per_rps` may be wrong for this robot's motors and encoders: nobody has confirmed it, and the board's
     reports can't reveal an error. A number that a person has written into the settings counts as confirmed only if
     board.per_rps_confirmed has the same number."""
     reports: WheelReports
     """What the board reports about its wheels, and how to read it."""
     wheels: int
-    """How many speeds a frame sets, at most box.MOST_SPEEDS. The wire ids of the wheels are counted from 0."""
+    """How many speeds a frame sets, at most box.MOST_SPEEDS. A wheel's wire id is the place of its speed in the
+    argument of motor_speeds(), counted from 0."""
     most_rps: float
     """The highest wheel speed that can be sent to the board, in turns per second. If the limits in the settings allow
     more, the service does not start."""
@@ -277,8 +284,8 @@ class Board:
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
         """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check does
-        not trust the encoder. It reads the form, the checksum, the ids and the speeds again, so a frame with a changed
-        bit is refused if its form reveals the change. Never raises, whatever the bytes are."""
+        not trust motor_speeds(), and reads the form, the checksum, the ids and the speeds from the frame again. So a
+        frame with a changed bit is refused if its form reveals the change. Never raises, whatever the bytes are."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -286,15 +293,14 @@ class Board:
         raise NotImplementedError
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds that the board will report while it obeys this motion frame or stop. None for other bytes,
-        or if the board does not report the command that it obeys. Never raises."""
+        """Return the speeds that the board will report while it obeys this motion frame or stop. None for other bytes.
+        Also None if the board has pings, or does not report the command that it obeys. Never raises."""
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """Return a motion frame for the `turn`th time that the same motion is sent. Depending on the turn, the frame is
-        slightly slower than commanded. If all frames were equal, the board's reports of its present command could not
-        show whether frames still arrive. If the board's reports are not used as a proof, the frame is returned
-        unchanged."""
+        """Return the frame to write when the same motion is sent for the `turn`th time. If the board's reports of its
+        present command are used as a proof, some turns get a slightly slower frame. If all frames were equal, these
+        reports could not show whether frames still arrive. For other boards the frame is returned unchanged."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

@@ -1,6 +1,6 @@
 """Kept: the stop of your own board as plain numbers and bytes. The service keeps it in its runtime directory. With it,
-`failstop stop` can stop the robot without running the board's description, which is a program and may be broken by
-then."""
+`failstop stop` can stop the robot without running the board's description, which is a program that may have become
+broken."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ MOST_NS = 2_000_000_000
 
 
 def pack_stop(board: Board) -> str:
-    """Return a board's stop as one line of text that unpack_stop() can read. Of the repeats, only the supervisor's row
-    is kept. unpack_stop() gives this row to all writers."""
+    """Return a board's stop as one line of text that unpack_stop() can read. The line has only the supervisor's row of
+    Board.repeats_ns, and unpack_stop() gives this row to all writers."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
     repeats = ",".join(map(str, board.repeats_ns[-1]))

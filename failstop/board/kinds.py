@@ -1,5 +1,5 @@
-"""Kinds: the kinds of boards that failstop knows. Each kind is described by a folder, either in failstop/board or your
-own one."""
+"""Kinds: the kinds of boards that failstop knows. Each kind is described by a folder, which is in failstop/board or is
+your own."""
 
 from __future__ import annotations
 

@@ -6,10 +6,10 @@ Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checks
 - The stop begins with a CR. If the line before the stop was cut short, this CR ends it. Without the CR, the board would
   read the stop as more digits of the cut line, and then execute that line.
 - Both speeds carry their sign, and a comma ends the first speed, because the firmware's atoi stops reading at a sign or
-  a comma. Two joined lines, or two speeds that lost the space between them, then can't become one larger speed unless
+  a comma. So two joined lines, or two speeds that lost the space between them, can't become one larger speed unless
   three bytes are lost. A letter in place of the comma would be worse, because the board could take it for the command.
-- Speeds have at most three digits. So even a cut line followed by a whole line fits into the 16 bytes that the firmware
-  has for each argument.
+- Speeds have at most three digits. So even if a cut line and the next line are joined, no argument gets longer than the
+  16 bytes that the firmware has for it.
 
 If a digit is lost, the wheel turns slower. If a minus is lost, the wheel turns the other way at the same speed. No form
 of this line can prevent the second case.
@@ -42,8 +42,8 @@ _MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
-"""How many bytes of an answer are kept. The longest answer, two counts of up to 11 characters each, is shorter than
-this."""
+"""How many bytes of an answer are kept. Every answer is shorter than this: the longest one has two counts of up to 11
+characters each."""
 
 
 def _written(left: float, right: float) -> bytes:

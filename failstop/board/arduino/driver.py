@@ -1,14 +1,14 @@
 """The lines that a driver may write to ros_arduino_bridge, and the answers that the driver gets.
 
-The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last letter
+The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last byte
 before the first space. Two arguments follow, each after one space, and any further space changes nothing. A CR ends the
-line, and the board then executes it, even if an argument is missing. Numbers are read as atoi reads them, into 16 bits.
-An argument of more than 15 bytes would overwrite the memory next to it on the board, so a line with such an argument is
-refused.
+line, and the board then executes it, even if an argument is missing. Numbers are read as atoi() reads them, into 16
+bits. An argument of more than 15 bytes would overwrite the memory next to it on the board, so a line with such an
+argument is refused.
 
-Every line gets one answer, in order. If diffdrive_arduino misses the answer to `e`, or gets a different one, it reads
-the counts as 0 0. The commands u, r, w, x, c, s and m are answered with `OK`. If hbrobotics' node gets another answer
-to one of them, it asks again forever. So a refused line has no effect, but gets the answer that the board would give.
+Every line gets one answer, in order. Even a refused line gets the answer that the board would give, because a driver
+needs it. If diffdrive_arduino gets no answer to `e`, or a different one, it reads the counts as 0 0. If hbrobotics'
+node gets any answer but `OK` to u, r, w, x, c, s or m, it sends the command again forever.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
 """The highest speed of a wheel, in counts per second."""
 _NEAR_ZERO = _FASTEST / 4
-"""If a counter has jumped to within this many counts of 0, the board has restarted. It then counts from 0 again, and
-failstop asks so soon that the counts are still small."""
+"""If a counter jumps by more than this, and no counter is further from 0 than this, the board has restarted. A
+restarted board counts from 0 again, and failstop asks so soon that the counts are still small."""
 _WRAPS = 2**32
 _OK = b"OK\r\n"
 _INVALID = b"Invalid Command\r\n"
@@ -45,11 +45,11 @@ PATIENCE_NS = 1_000_000_000
 """How long a driver waits for an answer, in ns. This is the default timeout of diffdrive_arduino, and hbrobotics' node
 waits longer."""
 _LOST_NS = 100_000_000
-"""How long failstop waits for the board's counts before a driver's next `e` makes it ask again, in ns. failstop also
-asks for the counts itself, ten times a second."""
+"""How long a question for the counts, caused by a driver's `e`, may stay unanswered, in ns. Until then, another `e`
+causes no new question. After that, the question counts as lost."""
 _STEADY_NS = 200_000_000
-"""A driver's `e` is answered with the counts that the board reported after the previous `e`. If they are older than
-this many ns, it is answered with the newest counts instead."""
+"""How old, in ns, the counts may be that the board reported after a driver's previous `e`. If they are younger, the
+driver's next `e` is answered with these counts. If they are older, it is answered with the newest counts."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -65,8 +65,9 @@ _WITHOUT_EFFECT = {
     ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
-"""Commands that change nothing on the board, each with its answer, its name, and the reason why it has no effect. `r`
-resets the counts and is not refused, because failstop keeps the driver's counts itself and sets only these to zero."""
+"""Commands that are answered but not passed on to the board: (answer, name, reason) for each. The name and the reason
+are for the refusal that people see. They are empty for `r` (reset the counts), which is not refused: failstop sets the
+counts that it keeps for the driver to zero."""
 
 
 class ArduinoDriver:
@@ -75,8 +76,8 @@ class ArduinoDriver:
 
     When the driver sends `e`, failstop answers at once, and asks the board for new counts. The answer to the driver has
     the counts that the board reported after the driver's previous `e`. So the counts of a driver that asks at a steady
-    rate always have the same age. failstop also asks for counts for its own use, at other times. A driver gets those
-    counts only if it asks less often than every 200 ms (_STEADY_NS), because their age varies.
+    rate always have the same age. failstop also asks for counts for its own use, at other times. The age of such counts
+    varies, so a driver gets them only if it asks less often than every 200 ms (_STEADY_NS).
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
@@ -98,7 +99,8 @@ class ArduinoDriver:
         self._counts = [0, 0]
         """The newest counts since the driver opened the port or last sent `r`."""
         self._kept, self._kept_ns = [0, 0], -_STEADY_NS
-        """The counts that the board reported after the driver's newest `e`, and the time of this report."""
+        """The driver's counts after the board's newest answer to a question that an `e` caused, and the time of this
+        answer."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
         """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
@@ -130,8 +132,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Copy the driver's counts from `before`, the ArduinoDriver that this driver had before the service restarted.
-        If the counts began at zero again, the driver's odometry would jump."""
+        """Copy the counts from `before`, which is the ArduinoDriver of the same driver program from before the service
+        restarted. If the counts began at zero again, the program's odometry would jump."""
         self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -216,7 +218,7 @@ def _wrapped(count: int) -> int:
 
 def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
     """Make an ArduinoDriver for a program that has opened the guard port. Raises ValueError if the setting guard.pins
-    names a pin that may drive a motor."""
+    names a pin that is not in codec.PINS."""
     words = str(settings.get("guard.pins", "")).split()
     pins = [int(word) if word.isdigit() else -1 for word in words]
     if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:

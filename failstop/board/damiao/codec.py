@@ -4,18 +4,19 @@ Their firmware is closed. The sources are the vendor's manuals (DM-H3510 V1.0, D
 vendor's Python host (cmjang/DM_Control_Python 7da9387), and two other hosts: damiao-motor 1.0.6 and enactic/openarm_can
 9866604. Each number here is in at least two of these sources.
 
-A motor takes a speed under the CAN id 0x200 plus its own id, in rad/s of its output shaft, as a little-endian float.
-Under its own id it takes `ff ff ff ff ff ff ff` and one more byte: fc enables the motor, fd disables it, and fb clears
-a fault. A frame with the CAN id 0x7ff names a motor and a command: 33 reads a register of this motor, 55 writes one,
-and cc asks for a report. A written register keeps its value until the power goes off. A motor answers every frame with
-a report, which has the motor's status and id, position, speed, torque and temperatures.
+A frame with the CAN id 0x200 plus a motor's id sets the speed of this motor, in rad/s of its output shaft, as a
+little-endian float. A frame with the motor's id as its CAN id has `ff ff ff ff ff ff ff` and one more byte: fc enables
+the motor, fd disables it, and fb clears a fault. A frame with the CAN id 0x7ff names a motor and a command: 33 reads a
+register of this motor, 55 writes one, and cc asks for a report. A written register keeps its value until the power goes
+off. A motor answers every frame with a report, which has the motor's status and id, position, speed, torque and
+temperatures.
 
 A stop is a speed of zero: the motor brakes and holds. Disabling it would let it roll.
 
 Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for that long switches itself off,
-and rolls until somebody clears this fault. So before the first motion after each enable, failstop clears the faults and
-enables the motors. If a motor switches itself off while it drives, failstop treats this as a restart of the board, and
-stops the other motors.
+and rolls until somebody clears this fault. So each time motion is enabled, failstop clears the faults and enables the
+motors before it writes the first motion. If a motor switches itself off while it drives, failstop treats this as a
+restart of the board, and stops the other motors.
 """
 
 from __future__ import annotations
@@ -77,20 +78,21 @@ FAULTS = {
     14: ("it is overloaded", SERVO_LOAD),
 }
 OFF_AFTER = 3
-"""How many reports in a row must say that an enabled motor is off before failstop believes it. A single report may come
-while failstop is enabling the motor again."""
+"""How many reports in a row must say that an enabled motor is off before failstop believes it. One such report proves
+nothing, because it may come while failstop is enabling the motor again."""
 DIFFERS = 2
 """A register counts as changed if this many answers in a row show a different value than the one that was set."""
 MISSES = 4
 """A motor counts as missing if it leaves this many questions in a row unanswered while another motor answers. A few
-lost answers are normal. For example, a CANable drops a motor's answer if it is still sending an earlier answer to the
-computer."""
+lost answers are normal. For example, while a CANable sends one answer to the computer, it drops the answers that come
+from the motors."""
 REPORT_EVERY = 20
-"""How often the temperatures are reported, in answers. This is about once a second."""
+"""After how many answered questions the temperatures are reported again. This is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
 """A reported speed is a number from 0 to 4095. _MIDDLE means that the motor is at rest. It is halfway between two
-numbers, so no report has exactly this speed. A number that differs from _MIDDLE by _NOISE or less may be noise."""
+numbers, so a motor at rest reports one of the numbers next to it. A number that differs from _MIDDLE by _NOISE or less
+may be noise, so it also counts as rest."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
@@ -169,8 +171,8 @@ class Motors:
 
     def check_aux(self, frame: bytes) -> str:
         """Say why these bytes must not be written as a frame that is not motion. Returns "" if they are a question that
-        reads an existing register. If a question had a higher register number and two of its characters were lost, the
-        motor could read the rest as a command to write a register."""
+        reads one of the registers 0 to MOST_REGISTER. A higher number is refused: if such a question lost two
+        characters, the motor could read the rest as a command to write a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -188,16 +190,17 @@ class _Motor:
     def __init__(self) -> None:
         self.v_max = 0.0
         self.level: int | None = None
-        """The speed in the motor's newest report, as a number from 0 to 4095. None if _wheels() has already returned
-        it."""
+        """The speed in the motor's newest report, as a number from 0 to 4095. None if no report came since _wheels()
+        last returned the speeds."""
         self.obeys = False
-        """True if the motor has reported that it is enabled, or if failstop has enabled all motors (Motors.arm)."""
+        """True if the motor counts as enabled, because it has reported this, or because failstop has enabled all motors
+        (Motors.arm)."""
         self.off = 0
         """How many of the motor's reports in a row say that it does not obey."""
         self.set = False
-        """True if the motor's registers should have the values that Motors.arm sets."""
+        """True if Motors.arm has set the motor's registers, so they should still have the values that it sets."""
         self.differs = {TIMEOUT: 0, MODE: 0}
-        """For each of these two registers, how many answers in a row differ from the value that was set."""
+        """How many answers in a row differ from the value that was set, for the registers TIMEOUT and MODE."""
         self.wrong = self.heat = self.misses = 0
 
 
@@ -233,9 +236,9 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """Handle a motor's confirmation that a register was written. failstop sets the watchdog's time only when it
-        enables all motors (Motors.arm), so from then on every motor counts as enabled. A motor that missed its enable
-        frame will report that it is off."""
+        """Handle a motor's confirmation that a register was written. Only the frames of Motors.arm set the watchdog's
+        time, and the same frames enable all motors. So when one motor confirms the time, every motor counts as enabled.
+        A motor that has missed its enable frame will report that it is off."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -295,7 +298,8 @@ class Replies(Reader):
                 motor.misses += number_ not in self._answered
 
     def _wheels(self) -> list[Sample]:
-        """Return the speeds of all motors, once each motor has reported its speed and its scale."""
+        """Return the speeds of all motors. Returns an empty list until every motor has reported its scale (V_MAX), and
+        a new speed since this method last returned speeds."""
         every = list(self._motors.values())
         speeds: list[float] = []
         for motor in every:

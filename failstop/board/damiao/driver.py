@@ -1,11 +1,12 @@
 """The lines that a driver may write to a slcan adapter with Damiao's motors, and the answers that the driver gets.
 
-A driver opens the adapter, enables each motor, and then sets its speed. This is what damiao-motor 1.0.6 does through
-the slcan of python-can 4.6.1, and what the vendor's DM_Control_Python (7da9387) and openarm_can behind slcand (9866604)
-do. A speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept both.
-failstop answers each frame for a motor with the motor's newest report. The status in this answer says whether the
-driver has enabled the motor, unless the motor has reported a fault. A driver's question for a register is passed on to
-the motor, and the answer is passed back. Answers to failstop's own questions are not passed on.
+A driver opens the adapter, enables each motor, and then sets its speed. These drivers do so: damiao-motor 1.0.6 through
+the slcan of python-can 4.6.1, the vendor's DM_Control_Python (7da9387), and openarm_can behind slcand (9866604). A
+speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept both. failstop
+answers each speed, and each command to enable or disable a motor, with the motor's newest report. If the motor has
+reported a fault, the status in this answer is the fault. Otherwise the status says whether the driver has enabled the
+motor. A driver's question for a register is passed on to the motor, and the answer is passed back. Answers to
+failstop's own questions are not passed on.
 
 failstop itself enables the motors and opens the adapter. So when a driver opens or closes the adapter, or enables or
 disables a motor, failstop passes nothing on, and only remembers the driver's command. If the driver has closed the
@@ -14,8 +15,8 @@ motor until it enables the motor again. Commands for a torque or a position are 
 failstop can't limit their speed.
 
 The wheels also stop after an incomplete line. A CANable would complete the line with digits of an older line, so the
-line could mean anything. After that, nothing moves until the driver has opened the adapter again, has read or set the
-speed mode, and has enabled each motor.
+line could mean anything. After that, nothing moves until the driver has opened the adapter again. A motor also moves
+only after the driver has set its speed mode, or has found it set, and has enabled the motor.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ if TYPE_CHECKING:
 PATIENCE_NS = 1_000_000_000
 """How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""A new DamiaoDriver gets the bytes that the motors sent in this many ns before the driver opened the port. Every motor
-sends at least one report in this time."""
+"""A new DamiaoDriver first gets the bytes that the motors sent shortly before the driver opened the port. This is the
+length of that time, in ns. Every motor sends at least one report in it."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
 _LONGEST = 30
-"""If a line is longer than this many characters, a CANable drops these characters and begins a new line with the next
-one."""
+"""A CANable keeps at most this many characters of a line. If the line goes on, it drops them all, and reads the rest of
+the line as a new line."""
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
@@ -105,8 +106,8 @@ class DamiaoDriver:
 
     def _run(self, line: bytes) -> list[Row]:
         """Handle one line. `line` does not include its carriage return. An empty line does nothing here, although it
-        makes a CANable repeat its newest command. A line of zeros does nothing either. Even if the adapter splits a
-        long line of zeros into several lines, none of them is a command."""
+        makes a CANable repeat its newest command. A line of zeros does nothing either. If such a line is long, the
+        adapter may split it into several lines, but no line of zeros is a command."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []

@@ -1,15 +1,15 @@
 """CAN frames as lines of text, as a Lawicel (slcan) adapter takes and sends them.
 
-A frame is a line `tIIILDD...\\r`, all hexadecimal: three digits for the CAN id, one for the length, and two for each
-byte. Sources: python-can 4.6.1 (interfaces/slcan.py), and the firmware of the two CANables, normaldotcom/canable-fw
-8ca5d39 and canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c).
+A frame is a line `tIIILDD...\\r`. After the t come hexadecimal digits: three for the CAN id, one for the length, and
+two for each byte. Sources: python-can 4.6.1 (interfaces/slcan.py), and the firmware of the two CANables,
+normaldotcom/canable-fw 8ca5d39 and canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c).
 
 A line has no checksum, and the two CANables execute whatever comes before a carriage return. If a line was cut, they
 take the missing digits from the line before it. An empty line makes them repeat the last command. So FLUSH comes before
-each stop. It is longer than any line that these adapters keep, so they drop whatever was cut. An adapter that keeps
-longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and does not
-change its direction. The speed is a little-endian float, so its sign and its exponent come last, and it is these digits
-that become 0.
+each stop. FLUSH is longer than any line that these adapters keep, so they drop a cut line before it. An adapter that
+keeps longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and
+does not change its direction: in a little-endian float the sign and the exponent come last, so these digits are the
+first to become 0.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ CR = b"\r"
 MOST_LINE = 21
 """The most characters in a line that failstop writes, not counting the carriage return."""
 FLUSH = b"0" * 160 + CR
-"""A CANable drops a line of more than 30 characters, and a CANable 2 one of more than 155. FLUSH is longer than both,
-and is not a command itself."""
+"""A line that makes the adapters drop a cut line before it, and that is not a command itself. It is long enough,
+because a CANable drops a line of more than 30 characters, and a CANable 2 a line of more than 155."""
 OPEN = b"S8\rO\r"
 """The commands that set 1 Mbit/s and open the channel. A CANable whose channel is already open ignores both commands,
 so it loses none of the frames that it still has to send."""
@@ -37,7 +37,7 @@ def line(can_id: int, data: bytes) -> bytes:
 
 def frame_of(text: bytes, least: int = 8) -> tuple[int, bytes] | None:
     """Return the CAN id and the data of a line. None if the line is not a frame of `least` to 8 bytes. `text` is the
-    line without its carriage return. A time stamp of four digits may follow the data."""
+    line without its carriage return, and may have a time stamp of four digits after the data."""
     if len(text) < _HEAD or not text.startswith(b"t") or not _DIGITS.issuperset(text[1:]):
         return None
     size = int(text[4:_HEAD], 16)

@@ -1,12 +1,12 @@
-"""The Wire that describes Damiao's motors behind a slcan adapter. One write has a line for each motor.
+"""The Wire that describes Damiao's motors behind a slcan adapter. Each write has a line for every motor.
 
-This way, a process can't die after it has stopped only some of the motors. The kernel may take only a part of a write.
-The rest then comes with the next burst, from the same process or from another one. A stop is always for four motors,
-because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist
-does nothing.
+A stop is one write, so a process can't die when it has stopped only some of the motors. If the kernel takes only a part
+of the write, the next burst, from the same process or from another one, stops the other motors. A stop is always for
+four motors, because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does
+not exist does nothing.
 
-One danger remains: a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by
-its own watchdog. Because it does not answer, stops do not count as acknowledged, and motion can't be enabled.
+A stop can't reach a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by its
+own watchdog. While one motor does not answer, stops do not count as acknowledged, and motion can't be enabled.
 """
 
 from __future__ import annotations

@@ -32,14 +32,16 @@ TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""How many bytes of a wheel's memory each of failstop's two questions reads, beginning at the goal speed. An answer
-does not name its question, but its length shows which question it was."""
+"""failstop has two questions to the wheels. One reads 18 bytes of each wheel's memory, and the other one 19, both
+beginning at the goal speed. An answer does not name its question, but the answer's length shows which question it
+was."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
 which question it belongs to. The question for the position also reads the load and the temperature, which come after
 the position in the servo's memory."""
 REPORT_EVERY = 10
-"""How often the supply and the servos' health are reported, in answers of the wheels. This is about once a second."""
+"""After how many answered questions to the wheels the supply and the servos' health are reported again. This is about
+once a second."""
 
 MISSES = 2
 """A wheel counts as missing if it leaves this many questions in a row unanswered while another wheel answers. One lost
@@ -50,9 +52,10 @@ _SIGN = 0x8000
 _LOAD_SIGN = 0x400
 _SPEEDS = Struct("<BHBHBH")
 _WHEEL = Struct("<H10xHxxB")
-"""A wheel's memory from the goal speed on: the goal speed, the present speed, and the supply in 0.1 V."""
+"""The format of a wheel's memory, beginning at the goal speed. It has the goal speed, the present speed, and the supply
+in steps of 0.1 V."""
 _HEALTH = Struct("<HxB")
-"""A servo's memory from the load on: the load and the temperature."""
+"""The format of a servo's memory, beginning at the load. It has the load and the temperature."""
 
 
 def packet(servo: int, instruction: int, data: bytes) -> bytes:
@@ -63,8 +66,8 @@ def packet(servo: int, instruction: int, data: bytes) -> bytes:
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
     """Return the packet that writes to this address of several servos. `rows` has each servo's id, followed by the
-    bytes for this servo. No servo answers such a packet. List the ids one by one, and never write a speed to all servos
-    at once: for a servo in position mode, speed 0 means its fastest speed."""
+    bytes for this servo. No servo answers such a packet. Never write a speed to every servo on the bus, because for a
+    servo in position mode speed 0 means its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 
@@ -102,18 +105,19 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""Zeros that complete any packet of this module, or any answer, that was cut short. The longest missing part is shorter
-than this, so a servo never reads the bytes after FILLER as a speed in the cut packet."""
+"""Zeros that complete a packet of this module, or an answer, if it was cut short. They are longer than any missing
+part, so a servo never reads the bytes after FILLER as a speed in the cut packet."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
 """The bytes with which failstop stops the wheels: seven stops, with FILLER before each. If a packet before the burst
-was cut short, the servos still receive the first stop. If a servo is just answering, the answer garbles the first
-stops, but the servos receive the stops after the answer. If a servo has read a garbled length, it waits for up to 255
-bytes before it receives a stop."""
+was cut short, the servos still receive the first stop. If a servo is sending an answer, this garbles the first stops,
+but the servos receive the stops after the answer. If a servo has read a garbled length, it takes up to 255 bytes of the
+burst for the rest of that packet, and then receives a stop."""
 
 BEFORE_QUESTION = FILLER * 2
-"""Zeros that come before each question. A servo that has read a garbled length waits for up to 255 bytes, and answers
-no question meanwhile. The zeros count as some of these bytes, so the servo answers the fifth question at the latest."""
+"""Zeros that come before each question. A servo that has read a garbled length takes up to 255 bytes for the rest of
+that packet, and answers no question meanwhile. With these zeros, four questions have so many bytes that the servo
+answers the fifth question at the latest."""
 
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
@@ -164,7 +168,7 @@ class Replies(Reader):
         self._last, self._size = len(WHEELS) - 1, 0
         """The place in WHEELS of the wheel that answered last, and the number of data bytes in that answer."""
         self._last_report: dict[int, int] = {}
-        """What _wrong() returned for the last report."""
+        """What _wrong() returned for the last Health report."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -5,11 +5,12 @@ Packets are read byte by byte, as a servo reads them. A servo waits forever for 
 back to a byte that it has already read. Only the wheels' goal speeds move anything. What the driver reads comes from a
 table for each servo. At first the table has the ranges and offsets of the settings, and the values to which LeKiwi's
 servos are set. If the driver writes a wheel's goal speed, a torque or the lock, the table keeps this value. Addresses
-56 to 64 have what the servo reported last. Until the servo has reported a value, questions for it get no answer.
+56 to 64 have what the servo reported last.
 
-All other questions, and all writes to one servo, are answered, even if the write is refused, because LeRobot's host
-exits when an answer is missing. Only the wheels and the joints of the settings answer. To the driver, all other servos
-seem to be unplugged.
+To the driver, only the wheels and the joints of the settings are on the bus. All other servos seem to be unplugged.
+Every write to one servo is answered, even a refused one, because LeRobot's host exits if an answer is missing. A
+question is answered too, unless it asks for a value that the servo has not reported yet, or for addresses beyond the
+table.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """
@@ -30,9 +31,10 @@ PATIENCE_NS = 34_000_000
 50 ms. If an answer came too late, the host would take it for the answer to its next question. From then on, the host
 would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""A new FeetechDriver gets the bytes that the servos sent in this many ns before the driver opened the port. A host
-asks for the joints' positions as soon as it has opened the port. The service asks a joint at rest for its position only
-about every two seconds, so a shorter time might not be enough."""
+"""A new FeetechDriver first gets the bytes that the servos sent shortly before the driver opened the port. This is the
+length of that time, in ns. It must be long enough for every joint to report its position, because a host asks for the
+positions as soon as it has opened the port. The service asks a joint at rest for its position only about every two
+seconds."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
@@ -43,14 +45,14 @@ _OFFSET_SIGN = 0x800
 _SENSORS = 56
 """The address in a servo's memory where the measured values begin, such as the position."""
 _KNOWN_TO = 65
-"""failstop reads a servo's memory only up to this address."""
+"""failstop asks the servos for measured values only below this address."""
 _SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
 """The values that LeRobot writes to every servo, by address. The gains (21 to 23) are those that LeRobot uses for the
 arm."""
 _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
-"""The addresses of goal position and goal time (42 to 45). A servo in velocity mode ignores both while they are
-zero."""
+"""The addresses of goal position and goal time (42 to 45). A servo in velocity mode ignores both while they are zero,
+so only other values are refused."""
 _STOPPED = "so the wheels were stopped"
 _ARM = "failstop moves the arm only for programs that use its plugin or Robot.arm"
 _BY_ID = "at the guard port, servos must be written one by one"
@@ -161,8 +163,9 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """Handle one packet that writes bytes to these servos. If it sets the speed of a wheel, the last row is a
-        motion of all wheels. In this motion, the other wheels keep their speeds."""
+        """Handle one packet that writes bytes to these servos. If the wheels must stop, the last row is a stop.
+        Otherwise, if the packet sets the speed of a wheel, the last row is a motion in which the other wheels keep
+        their speeds."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -181,7 +184,7 @@ class FeetechDriver:
 
     def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
         """Handle what a packet writes to a wheel. Returns (moved, rows). `moved` is True if the packet sets the wheel's
-        speed. `rows` has the refusals, and also a motion if the wheels must stop."""
+        speed. `rows` has the refusals, and also a stop if the wheels must stop."""
         rows: list[Row] = []
         speed = bytearray()
         for at, value in enumerate(data, address):
@@ -220,8 +223,8 @@ class FeetechDriver:
         return rows
 
     def _setting(self, servo: int, at: int, value: int) -> list[Row]:
-        """Handle one byte that the driver writes to the servo's settings. The driver can't change them, so a new value
-        is refused."""
+        """Handle one byte that the driver writes to a servo's settings. Any value for the lock is accepted, but only
+        stored in the driver's table. A new value for any other setting is refused."""
         if at == _LOCK:
             self._memory[servo][at] = value
             return []
@@ -280,8 +283,8 @@ def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytea
 
 
 def language(settings: Mapping[str, float | str]) -> FeetechDriver:
-    """Make a FeetechDriver for a program that has opened the guard port. The program can then read the wheels and the
-    joints of the settings."""
+    """Make a FeetechDriver for a program that has opened the guard port. The program can read the wheels, and the
+    joints that are in the settings."""
     names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
     tables = [f"joints.{name}" for name in names]
     return FeetechDriver(

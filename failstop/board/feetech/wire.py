@@ -1,10 +1,11 @@
 """The Wire that describes the Feetech bus. A stop is repeated within one write, because a servo that is answering hears
 nothing.
 
-One line carries both directions. A stop that begins during an answer is garbled, and so is the answer. So the burst
-lasts longer than the three answers to a question, and each writer repeats it. All other frames must not collide with an
-answer, so failstop writes them only after the line has been silent for the time of three answers. A servo does not
-acknowledge a sync write. So the questions ask each wheel for the goal speed that it obeys and for its present speed.
+Both directions share one line. If a stop begins during an answer, the stop and the answer are both garbled. So the
+burst lasts longer than the three answers to a question, and each writer repeats the burst. Frames other than stops must
+not collide with an answer, so failstop writes them only after the line has been silent for the time of three answers. A
+servo does not acknowledge a sync write. So the questions ask each wheel for the goal speed that it obeys and for its
+present speed.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 ANSWERS_NS = 2_500_000
-"""How long three answers of 25 bytes take, in ns. Before each answer comes a return delay, which is 0.51 ms at most on
-a new servo. LeRobot sets this delay to 0."""
+"""How long three answers of 25 bytes take, in ns. This includes the return delay before each answer, which is at most
+0.51 ms on a new servo. LeRobot sets the delay to 0."""
 
 
 def _arm(port: Port) -> ServoBus:

@@ -1,7 +1,7 @@
 """The command frames of hoverboard-firmware-hack-FOC. Firmware source: commit a0751d5.
 
 A frame is four little-endian words: the start ABCD, steer, speed, and the xor of the first three words. With its
-default coefficients the board computes left = speed + steer / 2 and right = speed - steer / 2. So steer is left -
+default coefficients, the firmware computes left = speed + steer / 2 and right = speed - steer / 2. So steer is left -
 right, and speed is the mean of left and right.
 """
 
@@ -83,15 +83,15 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""By how many units each frame is slowed while failstop repeats the same motion. The frames get these numbers in turn.
-The numbers 1 and 2 alternate. So if a slowed frame is lost, a report of the next slowed frame can't be taken for a
-report of the lost frame."""
+"""While failstop repeats the same motion, it slows the frames by these numbers of units in turn: one frame by 0, the
+next by 1, then by 0, then by 2, and so on. If a slowed frame is lost, the next slowed frame has the other number, so a
+report of it can't be taken for a report of the lost frame."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:
-    """Return the motion frame with both wheels slowed by the mark of this turn. Without marks, the echo of a steady
-    speed would not show whether frames still arrive. A turning wheel is never stopped by its mark. If only one wheel
-    turns, it is slowed by twice as much, because the sum of the two speeds must stay even."""
+    """Return the motion frame with both wheels slowed by the mark of this turn (MARKS). Without marks, the board's
+    reports of a steady speed would not show whether frames still arrive. A mark never stops a turning wheel. If only
+    one wheel turns, it is slowed by twice the mark, because the sum of the two speeds must stay even."""
     if (found := _words(frame)) is None:
         return frame
     both = [int(each) for each in _exact(*found)]

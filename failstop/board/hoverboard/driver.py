@@ -1,12 +1,13 @@
 """The frames that a driver may write to hoverboard-firmware-hack-FOC, and the feedback that the driver gets.
 
 A driver writes frames of eight bytes, ten to a hundred times a second, and expects the board's feedback without asking.
-The board finds a frame by the silence before and after it. A pseudo-terminal keeps no silences, so here a frame is
-found wherever it begins. The wheel speeds are computed as the board mixes them, whatever the driver meant.
+The board finds a frame by the silence before and after it. A pseudo-terminal does not pass on silences, so failstop
+finds a frame by its start instead. The wheel speeds are computed as the board mixes them, whatever the driver meant.
 
-A cut frame and the frame after it can pass the check together as one frame, with any speed. For example, the cut frame
-cdab0000 and a stop make full speed backward. No driver writes a word that looks like the start of a frame. So if eight
-bytes contain the start of another frame, failstop does not accept them as a frame.
+If a frame is cut short, its bytes and the first bytes of the next frame may look like one frame with a valid check, and
+with any speed. For example, the cut frame cdab0000 and the first half of a stop look like full speed backward. So
+failstop does not accept eight bytes as a frame if another start is among them. No driver writes a speed that looks like
+a start.
 
 Firmware source: commit a0751d5. Its feedback has 18 bytes. The fork for hoverboard-robotics' ROS driver sends 22
 (24955d6), and a branch that also sends two currents sends 26 (c7152c1). The driver was built for the board that it has,
@@ -32,9 +33,8 @@ else, because this board has no questions."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
-"""The place in a frame where the check begins. failstop searches a frame for another start, but only the bytes before
-the check, because the check itself may look like a start. For example, it equals the start whenever steer and speed are
-equal."""
+"""The place in a frame where the check begins. failstop refuses a frame if another start begins before this place. The
+check itself may look like a start: the two are equal whenever steer and speed are equal."""
 _TOGETHER_NS = 20_000_000
 """How long failstop waits for the rest of a frame before it drops the frame, in ns. An adapter may hold bytes back for
 16 ms, so this is longer. The board itself drops an incomplete frame as soon as the line is idle."""
@@ -103,9 +103,9 @@ class HoverboardDriver:
         return frames
 
     def _whole(self, data: bytes, at: int) -> int:
-        """Return the length of the feedback frame that begins at `at`, or 0 if no frame begins there. While the length
-        is not known, a frame counts only if another frame follows it, because parts of two frames can pass the check
-        together."""
+        """Return the length of the feedback frame that begins at `at`, or 0 if no frame begins there. A frame of the
+        same length as the frame before it counts at once. Any other frame counts only if the start of another frame
+        follows it, because parts of two frames can look like one frame with a valid check."""
         if self._length and _checked(data[at : at + self._length], self._length):
             return self._length
         for length in _LENGTHS:
@@ -115,8 +115,8 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Return the place where the next frame starts. If the data ends with the first byte of a start, this is the place
-    of that byte. If the data has no start, this is its length."""
+    """Return the place, not before `at`, where the next frame starts. If no start is found, but the last byte may be
+    the first byte of one, return the place of the last byte. Otherwise return the length of the data."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 
@@ -150,5 +150,5 @@ def _checked(frame: bytes, length: int) -> bool:
 
 
 def language(_settings: Mapping[str, float | str]) -> HoverboardDriver:
-    """Make a HoverboardDriver for a program that has opened the guard port. It needs no settings."""
+    """Make a HoverboardDriver for a program that has opened the guard port. The settings are not needed."""
     return HoverboardDriver()

@@ -1,22 +1,23 @@
-"""The Wire that describes a hoverboard. The line must be silent before and after a stop, and each writer has its own
-times for repeating the stop.
+"""The Wire that describes a hoverboard. The line must be silent before and after a stop, and each writer repeats the
+stop at different times.
 
-Whenever the line falls idle, the receiver looks at the bytes that came since it last looked, and accepts exactly eight.
-So two frames without a gap between them are both dropped. The receiver also looks at the end of each of its own
-feedback frames, every 10.1 ms, and drops a frame that is half received then. This loses a single stop in 6.1 % of
-cases.
+The board looks at the bytes that it has received whenever the line falls idle. It accepts exactly eight bytes, and
+drops any other number. So two frames without a gap between them are both dropped. The board also looks whenever it has
+sent a feedback frame, which is every 10.1 ms. If only a part of a frame has come by then, the frame is lost. A single
+stop is lost in this way in 6.1 % of cases.
 
-So each writer repeats its stop, and each has different times for this. The times are chosen so that any two writers
-disturb each other little, whatever the delay between their first stops. If the first stops touch, at most one pair of
-the early repeats touches as well. The feedback makes the board lose at most one more stop. With one or two writers the
-board accepts a stop within 12 ms, and with three writers within 40 ms (tests/board/test_stop_of_every_board.py). Mostly
-the port owner writes alone. Its second stop comes 5.4 ms after the first one. So if the computer holds the first stop
-back for a few ms, the two are still not sent together. If the computer is held up again and again, repeats reach the
-board in pairs and are lost. That is why some repeats come as late as 53 to 116 ms.
+So each writer repeats its stop, and each writer does so at different times. The times are chosen so that the stops of
+two writers rarely touch, whatever the delay between their first stops. If the first stops touch, at most one pair of
+the early repeats touches too. The feedback makes the board lose at most one more stop. With one or two writers the
+board accepts a stop within 12 ms, and with three writers within 40 ms (tests/board/test_stop_of_every_board.py).
+Usually only the port owner writes. Its second stop comes 5.4 ms after the first one, so the two stops don't touch even
+if the computer sends the first one a few ms late. If the computer sends many stops late, they may reach the board in
+pairs and be lost. So a few repeats come as late as 53 to 116 ms after the first stop.
 
-An adapter that stalls sends everything it has kept at once, and the board drops all of it. Every board is tested with
-stalls of up to 0.3 s. So the repeats go on for about 0.4 s. The late repeats of two writers never touch. No two late
-repeats of one writer come at the same place in a feedback frame.
+After a stall, an adapter sends everything that it has kept at once, and the board drops all of it. Every board is
+tested with stalls of up to 0.3 s, so the repeats go on for about 0.4 s. The late repeats of two writers never touch. If
+feedback makes the board lose one late repeat, the next one of the same writer comes at another place in a feedback
+frame.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 IDLE_NS = 200_000
-"""A little longer than two bytes take on the line. The receiver considers the line idle after the time of one byte."""
+"""How long the line must be silent before and after a stop, in ns. This is a little longer than two bytes take. The
+receiver considers the line idle after the time of one byte."""
 _MS = 1_000_000
 
 
