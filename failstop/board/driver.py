@@ -70,8 +70,8 @@ class DriverMotion(Data):
     """True for a stop that replaces a refused command. The driver did not ask for this stop, so the driver still counts
     as driving. If the driver dies next, failstop reports that it died while driving."""
     steering_rad: float | None = None
-    """The angle of the steered wheels in radians, positive to the left. None if the base is not steered, or if the
-    speeds of its wheels say how it turns."""
+    """The angle of the steered wheels in radians, positive to the left. None if the base has no steered wheels, or if
+    the speeds of the wheels already say how the base turns."""
 
 
 class DriverAnswer(Data):

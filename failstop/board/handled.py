@@ -29,8 +29,7 @@ GIVEN_UP_NS = 10_000_000_000
 came even later, failstop could take it for the answer to a newer question."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""Stops of several processes count as one stop if they were written within this time, in ns, because they then have the
-same cause."""
+"""Stops that several processes write within this time, in ns, count as one stop, because they have the same cause."""
 MARGIN_NS = 100_000_000
 """How much earlier than its set time a board's own watchdog may act, in ns."""
 

@@ -88,8 +88,8 @@ class Hearing:
     - HEARD_PONG: the indices of the pings that may have been answered.
     - HEARD_WHEELS: (speeds, positions). Each of the two is empty if the board does not report it.
     - HEARD_OBEYED: the speeds of the command that the board follows at the moment.
-    - HEARD_HEALTH: a row for each servo, with its id, its load (-1 to 1), its temperature in degrees Celsius, and what is
-      wrong with it (the SERVO_ bits of wire.py).
+    - HEARD_HEALTH: a row for each servo, with the servo's id, its load (-1 to 1), its temperature in degrees Celsius,
+      and what is wrong with it (the SERVO_ bits of wire.py).
     - HEARD_ODD: the name of a reported value that is impossible, and the value as text. Such a value counts as not
       reported.
     - HEARD_RESTARTED: a text that says how the board showed that it restarted.
@@ -237,8 +237,8 @@ class Board:
     """How long a pause, in ns, in the board's reports about its wheels or its IMU must be to count as a sign that the
     board has restarted. 0 if the board reports nothing."""
     arming: bytes
-    """The frame that sets the board's own watchdog. It is written before the first motion after each enable, because a
-    restart of the board resets the watchdog. Empty if there is nothing to set."""
+    """The frame that sets the board's own watchdog. Each time motion is enabled, this frame is written before the first
+    motion, because a restart of the board resets the watchdog. Empty if there is nothing to set."""
     fades_ns: int
     """The time, in ns, after which the board's own watchdog acts if no frame comes. From then on the board reports a
     command of zero, which does not prove a stop. 0 if the board makes no such reports, or has no watchdog."""

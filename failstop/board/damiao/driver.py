@@ -1,12 +1,12 @@
 """The lines that a driver may write to a slcan adapter with Damiao's motors, and the answers that the driver gets.
 
-A driver opens the adapter, enables each motor, and then sets its speed. These drivers do so: damiao-motor 1.0.6 through
-the slcan of python-can 4.6.1, the vendor's DM_Control_Python (7da9387), and openarm_can behind slcand (9866604). A
-speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept both. failstop
-answers each speed, and each command to enable or disable a motor, with the motor's newest report. If the motor has
-reported a fault, the status in this answer is the fault. Otherwise the status says whether the driver has enabled the
-motor. A driver's question for a register is passed on to the motor, and the answer is passed back. Answers to
-failstop's own questions are not passed on.
+A driver opens the adapter, enables the motors, and then sets their speeds. These drivers do so: damiao-motor 1.0.6
+through the slcan of python-can 4.6.1, the vendor's DM_Control_Python (7da9387), and openarm_can behind slcand
+(9866604). A speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept
+both. failstop answers each speed, and each command to enable or disable a motor, with the motor's newest report. If the
+motor has reported a fault, the status in this answer is the fault. Otherwise the status says whether the driver has
+enabled the motor. A driver's question for a register is passed on to the motor, and the answer is passed back. Answers
+to failstop's own questions are not passed on.
 
 failstop itself enables the motors and opens the adapter. So when a driver opens or closes the adapter, or enables or
 disables a motor, failstop passes nothing on, and only remembers the driver's command. If the driver has closed the
@@ -15,8 +15,8 @@ motor until it enables the motor again. Commands for a torque or a position are 
 failstop can't limit their speed.
 
 The wheels also stop after an incomplete line. A CANable would complete the line with digits of an older line, so the
-line could mean anything. After that, nothing moves until the driver has opened the adapter again. A motor also moves
-only after the driver has set its speed mode, or has found it set, and has enabled the motor.
+line could mean anything. After that, nothing moves until the driver has opened the adapter again. For each motor, the
+driver must also set the speed mode (or read that it is set), and enable the motor.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ normaldotcom/canable-fw 8ca5d39 and canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c)
 
 A line has no checksum, and the two CANables execute whatever comes before a carriage return. If a line was cut, they
 take the missing digits from the line before it. An empty line makes them repeat the last command. So FLUSH comes before
-each stop. FLUSH is longer than any line that these adapters keep, so they drop a cut line before it. An adapter that
-keeps longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and
-does not change its direction: in a little-endian float the sign and the exponent come last, so these digits are the
-first to become 0.
+each stop. FLUSH is longer than any line that these adapters keep, so they drop a cut line that comes before it. An
+adapter that keeps longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no
+faster and does not change its direction: in a little-endian float the sign and the exponent come last, so these digits
+are the first to become 0.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ CR = b"\r"
 MOST_LINE = 21
 """The most characters in a line that failstop writes, not counting the carriage return."""
 FLUSH = b"0" * 160 + CR
-"""A line that makes the adapters drop a cut line before it, and that is not a command itself. It is long enough,
-because a CANable drops a line of more than 30 characters, and a CANable 2 a line of more than 155."""
+"""A line that makes the adapters drop a cut line that comes before it. FLUSH itself is not a command. It is long
+enough, because a CANable drops a line of more than 30 characters, and a CANable 2 a line of more than 155."""
 OPEN = b"S8\rO\r"
 """The commands that set 1 Mbit/s and open the channel. A CANable whose channel is already open ignores both commands,
 so it loses none of the frames that it still has to send."""

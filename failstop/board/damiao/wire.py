@@ -1,6 +1,6 @@
 """The Wire that describes Damiao's motors behind a slcan adapter. Each write has a line for every motor.
 
-A stop is one write, so a process can't die when it has stopped only some of the motors. If the kernel takes only a part
+A stop is one write, so a process that dies can't have stopped only some of the motors. If the kernel takes only a part
 of the write, the next burst, from the same process or from another one, stops the other motors. A stop is always for
 four motors, because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does
 not exist does nothing.

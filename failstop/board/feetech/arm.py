@@ -1,8 +1,8 @@
 """The arm on the wheels' bus: servos in position mode, which count 4096 steps per turn.
 
-A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period ahead. If a servo
-gets no new goal, it stays at the goal that it got last, with its torque on. No frame of this module addresses a wheel.
-Only frames that set positions, switch torques or read pass FeetechArm.check().
+A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period (arm.period_s)
+ahead. If a servo gets no new goal, it stays at the goal that it got last, with its torque on. No frame of this module
+addresses a wheel. Only frames that set positions, switch torques or read pass FeetechArm.check().
 """
 
 from __future__ import annotations

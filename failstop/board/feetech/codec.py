@@ -116,8 +116,8 @@ burst for the rest of that packet, and then receives a stop."""
 
 BEFORE_QUESTION = FILLER * 2
 """Zeros that come before each question. A servo that has read a garbled length takes up to 255 bytes for the rest of
-that packet, and answers no question meanwhile. With these zeros, four questions have so many bytes that the servo
-answers the fifth question at the latest."""
+that packet, and answers no question meanwhile. Four questions with their zeros, and the zeros before the fifth
+question, are more than 255 bytes. So the servo answers the fifth question at the latest."""
 
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
