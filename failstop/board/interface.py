@@ -169,9 +169,9 @@ class ServoBus:
 
 
 class SteeringFrames:
-    """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: the steering frame
-    and the frame for the wheels are written together, and are accepted or refused together. A stop has no steering
-    frame, so it leaves the angle as it is."""
+    """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: one write has the
+    frame for the wheels and after it the steering frame, and both are accepted or refused together. A stop has no
+    steering frame, so it leaves the angle as it is."""
 
     __slots__ = ()
 
@@ -204,7 +204,7 @@ class Board:
     stops may follow each other without a gap. Otherwise the board may lose a stop, so after motion the wheels count as
     moving until the stop was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """The times, in ns after its first stop, at which a writer repeats its stop. Each writer has its own row
+    """The times at which a writer repeats its stop, in ns after the writer's first stop. Each writer has its own row
     (PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW). The writers can't see each other's bytes, so two stops may touch on
     the line, and some boards lose two stops that touch. For such a board each row has different times, so that the next
     stops of the two writers don't touch. The repeats for such a board go on for 0.4 s, which is longer than an adapter
