@@ -49,7 +49,7 @@ ADAPTERS = {
 }
 """Chips between USB and a serial line, by vendor:product. Many kinds of devices have such a chip, so the chip does not
 show which board is behind it."""
-DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
+DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH340": "ch341"}
 """The kernel module for each chip, by the beginning of the chip's name in ADAPTERS. All other chips use cdc_acm."""
 
 

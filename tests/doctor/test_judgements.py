@@ -436,6 +436,7 @@ def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -
         ("10c4:ea60", {}, "because no driver has taken it", "sudo modprobe cp210x"),
         ("0403:6015", {}, "because no driver has taken it", "sudo modprobe ftdi_sio"),
         ("1a86:7523", {}, "because no driver has taken it", "sudo modprobe ch341"),
+        ("1a86:55d3", {}, "because no driver has taken it", "sudo modprobe cdc_acm"),
         ("1a86:55d4", {}, "because no driver has taken it", "sudo modprobe cdc_acm"),
         ("2341:0043", {}, "because no driver has taken it", "sudo modprobe cdc_acm"),
     ],
