@@ -52,9 +52,9 @@ class Context:
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
-        """Call `turn` once per wake-up, with the descriptors that are ready, until it returns False. Before the first
-        call, end the start-up (rights.settle) and let the supervisor know that the process runs. `longest_ns`: the
-        longest sleep between two calls."""
+        """End the start-up (rights.settle), and let the supervisor know that the process runs. Then call `turn` once
+        per wake-up, with the descriptors that are ready, until it returns False. `longest_ns`: the longest sleep
+        between two calls."""
         rights.settle()
         self.heartbeat.state(BEAT_RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()

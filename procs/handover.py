@@ -57,8 +57,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """Like receive(), but only for ports whose number is at least `least`. Ports with a lower number were received
-        earlier, so their descriptors are closed. Returns None if this wake-up does not report that a port was sent."""
+        """Like receive(), but only for ports whose number is at least `least`. Ports with a lower number are outdated,
+        so their descriptors are closed. Returns None if `ready` does not show that something was sent."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent

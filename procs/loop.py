@@ -1,7 +1,7 @@
 """Loop: waits for descriptors or for the next timer, with time-outs exact to the microsecond.
 
-A loop wakes up for every timer that it made. The code that set a timer checks whether it is due. As long as a timer is
-due and that code neither pops it nor sets it again, the loop does not sleep.
+A loop wakes up when one of its timers is due. The code that has set the timer must notice this, and pop the timer or
+set it again. Until it does, the loop does not sleep.
 
 `epoll.poll` can only wait for whole milliseconds. `select` is more exact, but it can't watch a port for its hang-up
 alone. So the descriptors are in an epoll set, and `select` waits for that set if a timer is near. If no timer is near,
@@ -26,7 +26,7 @@ HANGUP = 0
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
 LONG_NS = 10 * MS
-"""A wait longer than this may be a millisecond off."""
+"""A sleep of at least this length, in ns, may take a millisecond longer if no timer is due before its end."""
 NEVER = 2**63 - 1
 
 
@@ -37,8 +37,8 @@ class Timer:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time, and the points that follow it. Each time pop() returns True, it goes on to the
-        following point."""
+        """Set the next point in time, and the points that follow it. Each pop() that returns True moves the timer on to
+        the following point."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
@@ -82,12 +82,12 @@ class Loop:
             self.watch(bell.fd, READ)
 
     def forget(self, fd: int) -> None:
-        """Remove a descriptor. Call it before you close the descriptor, because a duplicate in another process would
-        keep it in the set."""
+        """Stop watching a descriptor. Call this before you close the descriptor. Otherwise the epoll set would keep it
+        if another process has a duplicate of it."""
         self._epoll.unregister(fd)
 
     def readable(self, fd: int) -> bool:
-        """Return True if the descriptor can be read now. It need not be in the set."""
+        """Return True if the descriptor can be read now. It need not be watched."""
         return bool(select.select((fd,), (), (), 0)[0])
 
     def timer(self) -> Timer:

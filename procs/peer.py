@@ -14,14 +14,15 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""How long the port owner and the stopper go on after the supervisor's death, at least. On most boards this is enough
-for the burst and its repeats."""
+"""The shortest time for which the port owner and the stopper go on after the supervisor's death, in ns. On most boards
+this is enough for the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
 """How long the port owner and the stopper go on after the last repeat of a stop, so that the repeat gets out of the
 port."""
 LATEST_NS = 500_000_000
-"""How long the port owner and the stopper go on after the supervisor's death, at most. Each of them waits while its
-port still holds bytes of the stop, because the kernel drops these bytes when the last process closes the port."""
+"""The longest time for which the port owner and the stopper go on after the supervisor's death, in ns. Each of them
+waits while its port still holds bytes of the stop, because the kernel drops these bytes when the last process closes
+the port."""
 
 
 def leave_after_ns(board: Board) -> int:
@@ -33,8 +34,8 @@ def leave_after_ns(board: Board) -> int:
 DRAINED_NS = 5_000_000
 """How often to check whether the port still holds the stop."""
 _LINE = 1
-"""Each watched process has a block of futexes, with one line for each watching process. The supervisor waits on line 0,
-and this process waits on this line."""
+"""The line of futexes on which a Peer waits. Each watched process has a block of futexes, with one line for each
+process that watches it. Line 0 is the supervisor's."""
 
 
 class Parent:
@@ -57,8 +58,8 @@ class Parent:
             loop.watch(fd, READ)
 
     def died(self, ready: dict[int, int]) -> bool:
-        """Return True if this wake-up, or an early report before it, says that the supervisor has died. After drop() it
-        is False again."""
+        """Return True if this wake-up, or an early report before it, says that the supervisor has died. After drop(),
+        return False."""
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:

@@ -69,8 +69,9 @@ def realtime(priority: int) -> Iterator[bool]:
 
 
 def request_rights(priority: int) -> int:
-    """Ask for SCHED_FIFO at `priority` and for locked memory. Returns the heartbeat bits of the rights that this
-    process has. One of the bits says whether the kernel reports deaths early, which some kernels don't.
+    """Ask for SCHED_FIFO at `priority` and for locked memory. Returns what this process has, as bits of its heartbeat
+    (REALTIME, MEMORY_LOCKED, EARLY_NEWS). EARLY_NEWS means that the kernel reports deaths early, which some kernels
+    don't.
 
     Processes that this process starts begin without real-time rights. So when a process is restarted, its imports don't
     delay the ticks of the other processes.

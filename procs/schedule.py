@@ -21,12 +21,12 @@ PING_GAP_NS = 50_000_000
 """The shortest time between two pings."""
 
 QUICK = 10
-"""How many pings are sent in quick succession at first. Telemetry, which reads the answers, takes some tenths of a
-second to start. Until it has read an answer, nobody knows whether the board hears."""
+"""How many pings are sent in quick succession after a port was opened. Nobody knows whether the board hears until
+telemetry has read an answer, and telemetry takes some tenths of a second to start."""
 AGAIN_AFTER_STOP = 4
-"""How many more pings follow the first ping after a stop. If telemetry has died, answers to pings from before the stop
-may be lost. The first answer after the stop may then belong to an older ping. The further pings show which ping was
-answered."""
+"""How many more pings follow the first ping after a stop. One answer may not be enough. If telemetry has died, answers
+to pings from before the stop may be lost, so the first answer after the stop may belong to one of these older pings.
+The answers to the further pings show which ping was answered."""
 
 
 class Repeats:
@@ -54,8 +54,8 @@ class Repeats:
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
-        """Postpone the next repeat to `until_ns`. After a stall several repeats are due at once, and would garble each
-        other."""
+        """Postpone the next repeat to `until_ns` if it is due earlier. Otherwise, after a stall, several repeats would
+        be due at once, and garble each other."""
         self._due.wait(until_ns)
 
     def pop(self, now_ns: int) -> int:
@@ -114,9 +114,9 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Begin again with quick pings, because another port was opened. `hears_ns`: the time from which its board can
-        receive bytes. A ping may
-        have been lost with the previous port, so an answer from this board may seem to answer the lost ping."""
+        """Begin again with quick pings, because another port was opened. One answer is not enough, because it may seem
+        to answer a ping that was lost with the previous port. `hears_ns`: the time from which the board at the new port
+        can receive bytes."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 
 class WheelServos:
-    """Answers whether motion must wait for a wheel's servo. If servos don't turn this robot's wheels, it reads no
-    reports, so it costs nothing."""
+    """Answers whether motion must wait for a wheel's servo. If no servos turn this robot's wheels, it reads no reports,
+    so it costs nothing."""
 
     def __init__(self, settings: Settings, health: LatestReader) -> None:
         self._settings = settings

@@ -1,10 +1,10 @@
 """Admission: decides whether a motion frame, or a frame for the arm's servos, may be written to the board. Pure: the
 caller passes the time and the words of shared memory.
 
-The checks are made in this order, and the first one that fails decides:
+For a motion frame, the checks are made in this order, and the first one that fails decides:
 
     check                                                    if it fails
-    the gate is being watched, so it is alive                DROP
+    the port owner watches a gate, so the gate is alive      DROP
     the frame has the current epoch                          DROP: it is from before a stop
     the current epoch is newer than the last stop that the   DROP: the supervisor has not answered that stop yet
       port owner made by itself
@@ -15,11 +15,11 @@ The checks are made in this order, and the first one that fails decides:
     it is a whole motor frame, no faster than allowed        stop with a cause
     (no check has failed)                                    ADMIT: write it
 
-After the port owner has stopped by itself, it refuses all motion until it sees an epoch that is newer than the one in
-which it stopped. A frame that commands zero speed gets STAND_STILL instead of DROP while the wheels may turn, because
-it is never too late to stop.
+The port owner stops by itself if it is the first to notice a cause. After that, it refuses all motion until it sees an
+epoch that is newer than the one in which it stopped. If a frame that commands zero speed would be dropped while the
+wheels may turn, it gets STAND_STILL instead, so the port owner writes a stop. It is never too late to stop.
 
-A frame for the servos must pass these checks as well:
+For a frame for the servos, the same checks are made, but instead of the last one (a whole motor frame) these:
 
     check                                                    if it fails
     the robot has an arm, and the frame is a whole one for   stop with a cause
@@ -33,8 +33,9 @@ A frame for the servos must pass these checks as well:
     the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
       less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
-A servo move that has to wait is written one or two milliseconds late. If it were dropped instead, its joints would stop
-until the next move, one period later.
+The receiver is the board's: while it passes a frame on to the servos, it receives nothing. A servo move that has to
+wait is written one or two milliseconds late. If it were dropped instead, its joints would stop until the next move, one
+period later.
 
 Before a motion frame is written, these invariants are checked too. They use facts that the checks above don't use. If
 an invariant is broken, the robot is stopped because of that defect (DEFECT):
@@ -112,7 +113,8 @@ class Admission:
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """Return the time when the earlier of the two leases ends, if the two processes last beat at these times."""
+        """Return the time when the first of the two leases ends. `gate_ns` and `supervisor_ns`: when these processes
+        last beat."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
@@ -129,8 +131,9 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Handle a change of the epoch. A higher epoch means that there was a stop. A lower epoch is a defect: its
-        cause is returned, and motion is admitted only in an epoch higher than every epoch that was seen."""
+        """Handle a change of the epoch. If the epoch is higher than before, there was a stop. If it is lower, this is a
+        defect, and its cause is returned. Motion is then admitted only in an epoch that is higher than every earlier
+        one."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
@@ -191,6 +194,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """Return the result of a check as text. Only an empty text lets a frame pass. None counts as a fault, because a
-    check that forgets to return a text returns None."""
+    """Return the fault that a check has found, as text. Also call it a fault if the check returned something else than
+    a text. For example, a check that forgets to return a text returns None."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

@@ -29,14 +29,14 @@ from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
 TICK_NS = 33 * MS
-"""The longest time between two turns. It is a third of the time that the port owner may be silent
-(policy/processes.py). Anything that it must notice sooner rings a bell or sets a timer."""
+"""The longest time between two turns, in ns. It is a third of the port owner's deadline (policy/processes.py), the time
+for which it may be silent. Anything that it must notice sooner rings a bell or sets a timer."""
 OTHER_BACKLOG = 128
-"""The most bytes that may be on their way to the board when a frame that is not motion is written. A stop behind these
-bytes has to wait up to 1.3 ms for them."""
+"""A frame that is not motion is written only if at most this many bytes are still on their way to the board. A stop
+behind these bytes has to wait up to 1.3 ms for them."""
 MOST_OTHERS = 8
-"""How many frames that are not motion may wait while the line must be silent. If there are more, the oldest are
-dropped."""
+"""How many frames that are not motion may wait. They wait while the line must be silent, because some boards need a
+pause between two frames. If there are more, the oldest are dropped."""
 
 
 class PortOwner:
@@ -51,8 +51,8 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame, while it waits because the line must first be silent; otherwise None. The timer
-        `_line` is set to the end of the silence."""
+        """The motion frame that waits until the line has been silent, because some boards need a pause between two
+        frames. None if no frame waits. The timer `_line` is set to the end of the silence."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
@@ -135,8 +135,8 @@ class PortOwner:
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """Record a burst that was written for a cause which the port owner itself has noticed, and publish the cause.
-        The burst counts for the epoch that is current now, even if this process has not followed that epoch yet. For
-        the published cause the supervisor will raise the epoch once more."""
+        The supervisor will answer with a new epoch. The burst is also the stop of the present epoch, even if this
+        process has not followed that epoch yet."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
@@ -144,8 +144,8 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
-        """Write a stop without publishing a cause. The supervisor knows the cause already, or the gate has requested
-        the stop."""
+        """Write a stop without publishing a cause, because the supervisor knows the cause already, or because the stop
+        needs none."""
         self.wire.burst()
         self._stopped(monotonic_ns())
 
@@ -176,8 +176,8 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))
 
     def _hear_causes(self) -> None:
-        """Stop for each cause that telemetry has decoded from buttons, keys and the wheels. An empty cause means that
-        the stop must be written once more."""
+        """Stop for each cause that telemetry has sent, for example because a button was pressed. If a cause is empty,
+        only write the stop once more (_stop_again)."""
         while entry := self._causes.next():
             if not entry[2]:
                 self._stop_again()
@@ -186,8 +186,8 @@ class PortOwner:
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _stop_again(self) -> None:
-        """Write the stop of the wheels again. The arm is not stopped, and no cause is recorded. If the line must be
-        silent at the moment, nothing is written, because the next refresh stops the wheels."""
+        """Write the stop of the wheels again, without a cause and without stopping the arm. If the line must be silent
+        now, write nothing, because the next zero frame stops the wheels too."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -208,8 +208,9 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """Answer a raised epoch, which means that another process has noticed a cause. Write a burst, unless the port
-        owner has just stopped by itself for the same cause."""
+        """Answer a new epoch, which means that there was a stop. Write a burst, unless the port owner has just stopped
+        by itself for the same cause. Also watch processes that were started again, and stop if the one before has died
+        unnoticed."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -225,16 +226,16 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop if the machine has slept, because frames are older than they look, and someone may have moved the robot.
-        Returns True if it has slept."""
+        """Stop if the machine has slept. Someone may have moved the robot meanwhile, and frames from before the sleep
+        look younger than they are (procs/suspend.py). Returns True if it has slept."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """Stop as soon as the lease of the gate or the supervisor ends. A timer wakes the port owner at that moment.
-        Also stop if the port owner itself was silent for too long, or if the gate beats but sends no new motion. If no
-        motion was written since the last stop, there is nothing to do."""
+        """If motion was written since the last stop, stop in these cases: the lease of the gate or of the supervisor
+        has ended, the port owner itself was silent for too long, or the gate beats but sends no new motion. Otherwise
+        set a timer to the earliest time when such a lease or the gate's motion runs out."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -260,8 +261,8 @@ class PortOwner:
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
-        """Read all frames that the gate has sent and write them. Only the newest motion frame counts, and a stop drops
-        all motion from before the stop."""
+        """Read all frames that the gate has sent, and write those that may be written. Of several motion frames only
+        the newest counts. If the gate requests a stop, all motion from before it is dropped."""
         motion = self._pop_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
@@ -284,16 +285,16 @@ class PortOwner:
             self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
-        """Write the burst that the gate has requested. While something moves, it is written at once. Otherwise it is
-        written only if the last burst is at least REST_NS old, so that clients which disable motion again and again
-        can't fill the line."""
+        """Write the burst that the gate has requested. If something moves, write it at once. If nothing moves, write it
+        only if the last burst is at least REST_NS old, so that clients which disable motion again and again can't fill
+        the line."""
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_others(self) -> None:
-        """Write the waiting frames that are not motion, unless the line must be silent. They are pings for clients, and
-        other frames that the board's rules allow. A frame that the rules don't allow is dropped."""
+        """Write the waiting frames that are not motion, unless the line must be silent. Pings for clients, and frames
+        that the board's rules allow (check_aux), are written. Other frames are dropped."""
         while self._others and self.wire.free_ns <= monotonic_ns():
             frame = self._others.popleft()
             if frame in self.board.pings:
@@ -352,7 +353,7 @@ class PortOwner:
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _refuse(self, verdict: int | Cause, now_ns: int) -> None:
-        """Act on the decision not to write a frame: stop if the decision says so, otherwise only drop the frame."""
+        """Handle a frame that was not admitted: stop if the verdict says so, otherwise only drop the frame."""
         if verdict == admission.STAND_STILL:
             self._burst()
         elif verdict == admission.STOP_ASKED:
@@ -361,8 +362,8 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Write a motion frame now. If the line must first be silent, hold the frame until then. The frame is admitted
-        or refused only when it is about to be written."""
+        """Decide about a motion frame, and write it if it is admitted. If the line must first be silent, hold the
+        frame, and decide only when the silence is over."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
             self._held = motion
@@ -385,9 +386,9 @@ class PortOwner:
     def _write_motion(self, motion: DatedFrame) -> None:
         """Write an admitted motion frame. Set the word `moving`, then check epoch and time once more, then write.
 
-        This order lets other processes be sure of one thing: if they have raised the epoch and then read that nothing
-        moves, no outdated frame is about to be written. So a port owner that is starved at this point need not be
-        killed, however long it is starved.
+        Because of this order, another process that has raised the epoch and then reads 0 in `moving` knows: no outdated
+        frame is about to be written. So if the port owner is starved at this point, it need not be killed, however long
+        this lasts.
         """
         self._moving_word.set(1)
         self._barrier()
@@ -428,8 +429,9 @@ class PortOwner:
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Read and flush the port. If the supervisor has sent a new port, adopt it. The supervisor has already written
-        a stop to the new port. If the port in use is lost, stop the robot with the cause DEVICE_LOST."""
+        """Read from the port, and write what the kernel did not take earlier. If the port is lost, stop with the cause
+        DEVICE_LOST. If the supervisor has sent a new port, adopt it. The supervisor has already written a stop to
+        it."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:
@@ -462,8 +464,8 @@ class PortOwner:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written. If the supervisor ends the service, it kills the port
-    owner."""
+    """Run until the supervisor has died and the stop for its death is written. A supervisor that ends the service kills
+    the port owner instead."""
     owner = PortOwner(context)
     context.run(owner.turn, owner.loop, TICK_NS)
     owner.wire.close()

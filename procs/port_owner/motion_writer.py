@@ -1,5 +1,5 @@
-"""MotionWriter: writes motion frames. It also sets the board's own watchdog before motion and after a restart of the
-board, because a restart loses that setting."""
+"""MotionWriter: writes motion frames. It also sets the board's own watchdog, before the first motion after a stop, and
+again if the board has restarted, because a restart loses that setting."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MotionWriter:
         self.turning = False
         """True if the last command to the wheels was to turn, and no stop was written after it."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
-        """The most bytes that may still wait in the port when motion is written. This is the size of one ping, which
+        """Motion is written only if at most this many bytes still wait in the port. This is the size of one ping, which
         takes 70 us to send."""
         self._restarts_word = context.segment("telemetry").word("restarts")
         self._restarts = self._restarts_word.get()

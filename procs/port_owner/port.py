@@ -38,8 +38,8 @@ class OpenPort:
         self._hears = loop.timer()
         state = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
-        """The time from which the board can hear. If an earlier port owner has used this port, the port was not opened
-        again, so the board hears already."""
+        """The time from which the board can hear. Some boards hear nothing at first after their port was opened. If an
+        earlier port owner has already used this port, it was not opened again, so the board hears at once."""
         self._settings_left = () if state == records.PORT_OPEN else self._opening
         """Frames that the board must still receive before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
@@ -51,8 +51,8 @@ class OpenPort:
         written. If the bytes never get out, the entry counts as lost, which does no harm. But if an entry were missing,
         the board's answer would seem to prove that a later write has arrived."""
         self._ping_backlog = 2 * len(board.burst)
-        """The most bytes that may be on their way to the board when a ping is written. So a ping can be written
-        directly behind a stop, and the board handles it right after the stop."""
+        """A ping is written only if at most this many bytes are on their way to the board. This is enough to write a
+        ping directly behind a stop, so the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
         """Begin to use the port, after the first burst was written to it. The port counts as open once the board hears
@@ -62,8 +62,8 @@ class OpenPort:
 
     def _hear(self, now_ns: int) -> None:
         """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or if a
-        stop comes between them, they are sent again later, and the port does not count as open until then. If it did,
-        motion could begin although the board's own watchdog was never set."""
+        stop comes between them, the rest is sent later. Only after that does the port count as open. If it counted as
+        open earlier, motion could begin although the board's own watchdog was never set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -136,8 +136,8 @@ class OpenPort:
         return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
-        """If the board echoes the commands that it obeys, record the command in `frame`. `frame` is a motion frame that
-        is about to be written, or a stop that was written."""
+        """Record the command in `frame`, if the board reports which command it obeys. `frame`: a motion frame that is
+        about to be written, or a stop that was written."""
         if (speeds := self._board.commanded(frame)) is not None:
             self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
@@ -152,13 +152,13 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch the port for its loss. While the kernel has not taken everything, also watch for room to write. Unless
-        telemetry reads the board's bytes (`heard`), also watch for these bytes.
+        """Watch the port for its loss. If some bytes still have to be written, also watch for room to write. If
+        telemetry does not read the board's bytes (`heard` is False), also watch for these bytes.
 
-        The bytes are watched with EDGE. Without EDGE, the kernel looks for more
-        bytes at the next wait. To do this it needs a worker of ordinary priority, and this process sleeps until the
-        worker is done (n_tty_poll). So on a busy machine, after each frame from the board, the port owner could not
-        notice a stop until other processes let the worker run.
+        The bytes are watched with EDGE. Without EDGE, after each frame from the board, the kernel would look for more
+        bytes at the next wait. To do this it needs a worker of ordinary priority, and the port owner would sleep until
+        the worker is done (n_tty_poll). So on a busy machine, the port owner could not notice a stop until other
+        processes let the worker run.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
         wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)

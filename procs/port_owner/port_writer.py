@@ -20,10 +20,10 @@ class PortWriter(StopPort):
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """For each early stop that the loop has not handled yet, how many of its bytes the kernel took. ALREADY means
-        that a whole stop was already on the line."""
+        """For each early stop that the loop has not handled yet, how many of its bytes the kernel took. A thread writes
+        an early stop as soon as it notices a death. ALREADY means that a whole stop was already on the line."""
         self._handed = 0
-        """How many bytes were handed to the kernel since the kernel last held none of them."""
+        """How many bytes the kernel has taken since the last time when it held none."""
         self._held_since_ns = 0
         self._refused = False
         """True if the kernel took nothing of the last write."""
@@ -40,9 +40,9 @@ class PortWriter(StopPort):
         return taken
 
     def heed(self) -> None:
-        """Allow frames again after an early stop. Call it just before the loop looks for deaths. Between an early stop
-        and this call only bursts are written. The thread that writes an early stop marks its lifeline before it writes,
-        so the loop will find the death."""
+        """Allow frames again after an early stop. Between the early stop and this call, only bursts are written. Call
+        it just before the loop looks for deaths. The thread that writes an early stop marks its lifeline before it
+        writes, so the loop will find the death."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -69,8 +69,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """From now on, record in the black box everything that is written to the port. The first record is the burst
-        that was just written. Attaching the ring takes milliseconds, so it is attached only after this burst."""
+        """From now on, record everything that is written to the port in the black box (`ring`), and first the burst
+        that was just written. Call this only after the first burst, because attaching the ring takes milliseconds."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -79,9 +79,10 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Returns False if nothing was written. The kernel may take no byte, the port may be lost, or
-        an earlier write or an early stop may not be finished. A frame is also not written if more than `backlog` of
-        this writer's bytes are still in the kernel, because it would arrive late behind them."""
+        """Write one frame. Returns False if nothing was written. This is so if the kernel takes no byte, if the port is
+        lost, if an earlier write is not finished, or if the loop has not handled an early stop yet. It is also so if
+        more than `backlog` of this writer's bytes are still in the kernel, because the frame would arrive late behind
+        them."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0

@@ -26,7 +26,7 @@ class RequestPipe:
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
-        """Return True if a stop is requested at this wake-up."""
+        """Return True if a stop is requested at this wake-up. Also end the pipe's rest if it is over."""
         if self._fd in ready:
             return True
         if self._rests.due(now_ns):
@@ -38,8 +38,8 @@ class RequestPipe:
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def accept(self, now_ns: int) -> Cause:
-        """Read the request from the pipe, and return the cause of the stop. Call it after the stop was written. The
-        pipe's rest begins now."""
+        """Read all requests that wait in the pipe, and return the cause of the stop, with the first line as the reason.
+        Call it after the stop was written. The pipe's rest begins now."""
         line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)

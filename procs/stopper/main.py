@@ -1,12 +1,13 @@
-"""The stopper's loop. It waits until the port owner or the supervisor dies, or the port owner falls silent. Then it
-writes the burst on its own descriptor of the port, and repeats zeros until a new port owner runs.
+"""The stopper's loop. It waits until the port owner or the supervisor dies, or until the port owner falls silent. Then
+it writes the burst on its own descriptor of the port, and repeats zeros until a new port owner runs.
 
 If the port owner is silent for too long, the stopper fences it, which means that it sends SIGKILL and writes the burst.
 When the process is gone, the stopper writes the burst again, because the port owner may have written one last frame
-after the first burst. A supervisor that works does all this sooner.
+after the first burst. If the supervisor works, it does all this before the stopper has to.
 
-While the port owner is alive, all stops go through it, because only it can order them against motion frames. So when
-the supervisor dies, the stopper gives the port owner a short time to write the stop first.
+While the port owner is alive, all stops go through it, because only the port owner can make sure that no older motion
+frame follows a stop. So when the supervisor dies, the stopper gives the port owner a short time to write the stop
+first.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from failstop.procs.schedule import ZERO_EVERY_NS, Repeats
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
-"""The longest sleep. It is less than half of the time that the stopper may be silent (policy/processes.py). Anything
-that the stopper must notice sooner wakes it."""
+"""The longest sleep, in ns. It is less than half of the stopper's deadline (policy/processes.py), the time for which it
+may be silent. Anything that it must notice sooner wakes it."""
 FIRST_GO_NS = 3_000_000
-"""How long the port owner may take to answer the supervisor's death. After that the stopper writes a stop itself."""
+"""After the supervisor's death, the stopper waits for the port owner's stop for at most this long, in ns. Then it
+writes a stop itself."""
 LOOK_AGAIN_NS = 200_000
 STALLED_NS = 200_000_000
 """If the stopper itself was silent for this long, it does not judge other processes by their silence, because the whole
@@ -105,8 +107,9 @@ class Stopper:
             self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
-        """Write the burst for the supervisor's death once the port owner has written its own stop, or once it has taken
-        longer than FIRST_GO_NS. Also write the repeats of an earlier burst that are due."""
+        """After the supervisor's death, write the burst once the port owner has written its own stop, or once
+        FIRST_GO_NS are over. If the port owner has still not written a stop when the burst is repeated, kill it. Also
+        write the repeats of any other burst that are due."""
         self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
@@ -123,8 +126,8 @@ class Stopper:
             self._write()
 
     def _hangs_ns(self) -> int:
-        """Return the time when the port owner will count as hanging, unless it beats earlier. NEVER if no port owner
-        runs, or if the port owner was killed already."""
+        """Return the time from which the port owner counts as hanging, if it does not beat before. NEVER if no port
+        owner runs, or if it was killed already."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
             return NEVER
@@ -132,7 +135,8 @@ class Stopper:
 
     def _follow_port_owner(self, now_ns: int) -> None:
         """Watch the port owner whose pid the supervisor publishes. If it is silent for too long, kill it and write a
-        burst. If it is only starved and nothing moves, give it the full time again."""
+        burst. But if it is silent because it is starved, and nothing moves, let it be silent for the same time once
+        more."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         if now_ns >= self._hangs_ns():
@@ -144,8 +148,8 @@ class Stopper:
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
-        """Return True if the silent port owner is starved, and the last thing that was written to the wheels is a
-        stop."""
+        """Return True if the silent port owner need not be killed: it is starved, but not for longer than
+        starved.LONGEST_NS, and the last thing that was written to the wheels is a stop."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
@@ -162,8 +166,8 @@ class Stopper:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written. If the supervisor ends the service, it kills the
-    stopper."""
+    """Run until the supervisor has died and the stop for its death is written. A supervisor that ends the service kills
+    the stopper instead."""
     stopper = Stopper(context)
     context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)
     stopper.held.let_go()  # an exit would wait for a port that does not drain

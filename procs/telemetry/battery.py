@@ -18,11 +18,12 @@ nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""How old a reading must be, in ns, to count as the voltage before a step. Newer readings may already show a part of
-the step, because the firmware averages its readings over about 3 s."""
+"""Each new reading is compared with the readings that are more than this much older (but not more than JUMP_WINDOW_NS),
+in ns. Readings in between may already show a part of a step, because the firmware averages its readings over about 3
+s."""
 SETTLE_NS = 3_000_000_000
-"""How long motion must have been disabled before a step in the voltage counts. The motors' load moves the voltage by up
-to 170 mV when it begins and when it ends."""
+"""How long motion must have been disabled, in ns, before a step in the voltage counts as the charger's. When the motors
+begin or end to draw current, the voltage also makes a step, of up to 170 mV."""
 MOST_READINGS = 64
 """How many readings are kept. About one comes per second. The limit keeps the work small if a flood of readings
 comes."""
@@ -41,8 +42,8 @@ class LowBattery:
         self._low = 0
 
     def add(self, millivolts: int) -> Cause | None:
-        """Add a reading. Returns the cause of a stop, or None. The cause is returned again only after the voltage has
-        been above the limit."""
+        """Add a reading. Returns the cause of a stop at the last of LOW_READINGS low readings in a row, otherwise None.
+        Further low readings return None too. The count begins again after a reading that is not low."""
         self._low = self._low + 1 if millivolts < self._least_mv else 0
         return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
 
@@ -80,7 +81,8 @@ class Charger:
 
 
 class BatteryLog:
-    """Makes the battery log. It has one line per period, made from the first reading after the line is due."""
+    """Makes the lines of the battery log, one per period (battery.log_s). Each line is made from the first reading that
+    comes when the line is due."""
 
     def __init__(self, settings: Settings) -> None:
         self._period_ns = settings.ns("battery.log_s")

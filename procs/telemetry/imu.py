@@ -14,9 +14,9 @@ Vector = tuple[float, float, float]
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
 LONGEST_GAP_NS = 500_000_000
-"""The longest gap between two samples that belong together. After a longer gap, a calibration begins again. Outside of
-a calibration, the first sample after the gap does not move the bias, because it would weigh as much as all the samples
-that are missing."""
+"""The longest gap between two samples that belong together, in ns. If a calibration has a longer gap, it begins again.
+After a calibration, the first sample after a longer gap does not move the bias. A sample counts in proportion to the
+time since the one before it, so this sample would count as much as all the missing ones."""
 LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
@@ -42,14 +42,16 @@ class GyroBias:
     """Finds the gyro's bias. The bias is calibrated at the start, and then follows the readings while the robot is at
     rest.
 
-    calibrating -> calibrated  if the robot was still for the whole time; the mean of the samples is the bias
-                -> kept        if the robot moved or was commanded to; people are warned, and the bias stays as it was
-                               (zero at the first start)
+    calibrating -> calibrated  if the robot was still for the whole time. The mean of the samples is the bias.
+                -> kept        if the robot moved, or if motion was commanded. People are warned, and the bias stays as it
+                               was before the calibration (zero at the first start).
 
-    After the calibration, each sample at rest first counts as much as every sample before it, so the bias stays a plain
-    average. When the average covers one time constant (imu.tracking_tau_s), the bias follows the samples with this time
-    constant. In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8
-    minutes. It drifted by 0.17 degrees when the bias followed with the time constant from the start (40 seeds;
+    After a calibration that succeeded, the bias is at first the plain average of all samples at rest, with those of the
+    calibration. When the average covers one time constant (imu.tracking_tau_s), the bias begins to follow the samples
+    with this time constant. After a calibration that failed, it does so at once.
+
+    In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8 minutes. It
+    drifted by 0.17 degrees if the bias followed with the time constant as soon as the calibration had ended (40 seeds;
     docs/reference/telemetry.md).
     """
 
@@ -61,8 +63,8 @@ class GyroBias:
         self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
         self._tau_s = settings["imu.tracking_tau_s"]
         self._averaged_s = self._tau_s
-        """How much time the average covers so far, s. It stays at tau_s once the bias follows with the time
-        constant."""
+        """How much time the average covers, in s. It grows up to tau_s. From then on, the bias follows the samples with
+        the time constant."""
         self._tracks = settings.on("imu.tracking")
         """False if the setting turns tracking off. The bias then never moves after the calibration."""
         self.samples: list[Vector] | None = [] if settings.on("board.imu") else None
@@ -73,7 +75,7 @@ class GyroBias:
         self.bias_radps: Vector = (0.0, 0.0, 0.0)
         self.calibrated = False
         self.stationary = True
-        """False if the calibration was given up because the robot moved."""
+        """False if the calibration was given up because the robot moved, or because motion was commanded."""
         self.tracking = False
         """True if the last sample moved the bias."""
 
@@ -84,8 +86,8 @@ class GyroBias:
         self._averaged_s = self._tau_s
 
     def follow(self, commanded: bool, now_ns: int) -> str:
-        """Record whether motion is commanded. While it is, nothing is calibrated, even if the gyro is quiet. Returns a
-        line for the journal, or an empty text."""
+        """Record whether motion is commanded. If it is, a calibration is given up, and the bias does not change, even
+        if the gyro is quiet. Returns a line for the journal if a calibration was given up, otherwise an empty text."""
         if not commanded:
             if self._resting_since_ns is None:
                 self._resting_since_ns = now_ns

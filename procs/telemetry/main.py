@@ -41,25 +41,26 @@ from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
 LONGEST_IDLE_NS = 50_000_000
-"""The longest sleep. While the robot is at rest the board's bytes wake no process, so they are read this often."""
+"""The longest sleep of telemetry, in ns. While the robot is at rest, bytes from the board don't wake telemetry, so it
+reads them this often."""
 ODOMETRY_NS = 20_000_000
-"""How often odometry is published, which is as often as the gate decides. Everything else that can wait is published at
-the same time."""
+"""How often odometry is published, in ns. The state of the wheels and the comparison of the speeds are published in the
+same turns as odometry, but not in each of them."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
-"""How often the gyro's bias is published. It must come at 10 Hz or faster, but it is published only when something else
-wakes the process. With 100 ms, it would come every 105 to 110 ms. The state of the wheels is published as often, and
-also with each reading."""
+"""How often the gyro's bias is published, in ns. It must come at 10 Hz or faster. But it is published only when
+something else wakes telemetry, so with a value of 100 ms it would come every 105 to 110 ms. The state of the wheels is
+published as often as the bias, and also after each report about the wheels."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The part of the gate's published state that telemetry needs. It shows whether the wheels are commanded to turn,
-    may turn, or are stopped. Before the gate has published a state, telemetry assumes that motion is disabled, that the
-    wheels are stopped, and that no stop is latched."""
+    """The part of the gate's published state that telemetry needs: which motion is commanded, whether motion is
+    enabled, and whether a stop is latched. Until the gate has published a state, zero counts as commanded, motion as
+    disabled, and no stop as latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -86,8 +87,8 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state. Returns True if the state is new. If the gate is silent for too long, motion counts as
-        disabled, and that is a new state too."""
+        """Read the gate's state. Returns True if it has changed. If the gate is silent for too long, this changes the
+        state too: motion then counts as disabled, and zero as commanded."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:
@@ -166,7 +167,7 @@ class Telemetry:
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
         self._scale_noted: set[str] = set()
-        """The levels at which a difference of the speeds was logged already."""
+        """The levels (`warning`, `info`) for which a difference of the speeds was logged already."""
         self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
@@ -242,8 +243,8 @@ class Telemetry:
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up. If it only brings samples of the IMU, which come most often, they are published and the
-        rest of the turn is skipped."""
+        """Handle one wake-up. Samples of the IMU, which come most often, are published at once. If nothing else has
+        come, the rest of the turn is skipped until odometry is due."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
@@ -300,8 +301,8 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """Report a loss of the port to the port owner, which does not read the port while telemetry runs. When a new
-        port was adopted, forget the old one, including half a frame that was read from it."""
+        """If the port is lost, wake the port owner, which does not read the port while telemetry runs. If a new
+        descriptor was adopted, forget what was read from the old one, even half a frame."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
@@ -310,8 +311,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish the time of the board's last bytes. Call this after everything that follows from these bytes was
-        published."""
+        """Publish the time of the board's last bytes, and how long the board may pause. Call this last, after
+        everything that was learned from these bytes was published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -357,7 +358,7 @@ class Telemetry:
             self._note("gyro", text, level=level, step=step)
 
     def _report_pad_mode(self) -> None:
-        """Log a new mode of the gamepad. It shows whether the gamepad's sticks move the wheels."""
+        """If the gamepad's mode has changed, log it, because it decides whether the sticks move the wheels."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
@@ -368,8 +369,8 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """If there is a cause, make the port owner stop at once. The stop pipe is not used for this, because anyone can
-        write to it, so a text in it is only a claim. Telemetry itself has seen what happened."""
+        """If there is a cause, make the port owner stop at once. Telemetry has seen the cause itself, so it does not
+        use the stop pipe. Anyone can write to that pipe, so a text in it is only a claim."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
@@ -404,7 +405,8 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Handle the board's report about its wheels. The report has priority over what an IMU measures."""
+        """Handle a report of the board about its wheels. If these reports show whether the wheels are still, the IMU is
+        no longer asked."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)
@@ -458,7 +460,8 @@ class Telemetry:
             self._pass_on(act.note)
 
     def _compare_speeds(self, now_ns: int) -> None:
-        """Compare the measured speeds with the commanded ones, and log once if they differ."""
+        """Compare the measured speeds with the commanded ones. A difference is logged only once for each level
+        (warning, info)."""
         measured, judge = self._measured, self._scale
         turn_radps = self._turn_radps if self._gyro.calibrated else None
         changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)

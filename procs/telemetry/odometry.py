@@ -1,9 +1,9 @@
 """Wheel odometry: computes the robot's pose from the wheels' reports, or from the gate's commands if there are no
 reports. Pure.
 
-The wheels' reports show how far the base has rolled, no matter what was commanded. If the board reports nothing, the
-commands are added up instead (dead reckoning), and nobody should rely on that pose. After the first usable report, only
-reports are used.
+The wheels' reports show how far the base has rolled, no matter what was commanded. From the first usable report on,
+only reports are used. Until then, the commands are added up instead (dead reckoning), and nobody should rely on that
+pose.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
-"""The longest step of advance(). If more time has passed since the last call, the excess does not count, because nobody
-knows what the wheels did in such a long gap."""
+"""The longest time that one call of advance() adds up, in ns. If more time has passed since the last call, the rest is
+left out, because nobody knows what the wheels did in such a long gap."""
 MEAN_NS = 200_000_000
-"""Speeds from a board that counts are averaged over this time, because a single count in 50 ms may mean 0.2 m/s."""
+"""If the board reports positions, the speeds are averaged over this time, in ns. In 50 ms, a single count may mean 0.2
+m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
-"""How exactly a wheel rolls, by layout: the standard deviation of its distance after 1 m, in m. It grows with the
-square root of the distance. Rollers slip: on a carpet, a mecanum base that goes sideways moves only 0.765 of the
-distance that its wheels make."""
+"""How much a wheel slips, by layout: the standard deviation of its distance after 1 m, in m. The standard deviation
+grows with the square root of the distance. Wheels with rollers slip more: on a carpet, a mecanum base that goes
+sideways moves only 0.765 of the distance that its wheels roll."""
 DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 
@@ -66,8 +67,8 @@ class Odometry:
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         self._errors = self._ways
-        """How far x, y and th are off if the turns of a wheel are off by one, in the form of `_ways`. It differs from
-        `_ways` only for a steered base with one driven wheel."""
+        """By how much x, y and th are wrong if the turns of a wheel are wrong by one, in the form of `_ways`. The
+        numbers differ from `_ways` only for a steered base with one driven wheel."""
         self._bend = 0.0
         """How far the base turns per meter at the commanded steering angle, rad/m. Only used for a steered base with
         one driven wheel."""
@@ -77,13 +78,15 @@ class Odometry:
             self._errors = (*self._ways[:2], aside)
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
-        """The variance that slip adds to a wheel's turns with each turn of the wheel."""
+        """The variance that slip adds to a wheel's turns with each turn of the wheel, in turns squared."""
         self._told_m = self._told_rad = 0.0
-        """How far the robot was commanded to go (m) and to turn (rad). Forward and backward both add to it."""
+        """The distance (m) and the angle (rad) that were commanded until now. Motion in either direction adds to
+        them."""
         self._turns: tuple[float, ...] = ()
         self._missed = 0.0
         self._recent: deque[tuple[int, float, float, float]] = deque()
-        """For each report within MEAN_NS, when it came, and how far the base had gone in its own frame by then."""
+        """One entry for each report of the last MEAN_NS: when it came, and how far the base had moved by then (x, y,
+        th), along the base's own axes."""
         self._gone = (0.0, 0.0, 0.0)
 
     @property

@@ -1,9 +1,12 @@
-"""The gamepad. Its buttons stop the robot, and its sticks drive it in the drive mode. The button MODE changes the mode
-and, if it is held for long, requests a reset. This file also has the buzzer's sounds. Pure.
+"""The gamepad. Its buttons stop the robot. Its sticks drive it in the mode `drive`. The button MODE changes the mode,
+and requests a reset if it is held for long. This file also has the buzzer's sounds. Pure.
 
-locked --MODE--> drive --MODE--> locked ...     two changes are at least the lockout time apart
-any --a latched stop, or a button that is not MODE--> locked     the mode stays locked while the stop is latched
-any --a pushed stick in frames that never change--> locked     a receiver may repeat the last frame of a lost pad
+locked --MODE--> drive --MODE--> locked ...                           for a robot without an arm
+locked --MODE--> drive --MODE--> joint --MODE--> locked ...           for a robot with an arm
+any mode --a latched stop, or a button that is not MODE--> locked     the mode stays locked while the stop is latched
+any mode --a pushed stick in frames that never change--> locked       a receiver may repeat the last frame of a lost pad
+
+Two changes by MODE are at least the lockout time (pad.mode_lockout_s) apart.
 """
 
 from __future__ import annotations
@@ -18,12 +21,13 @@ LOCKED, DRIVING, JOINT = range(3)
 """The modes, as indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right one turns
 it."""
 CHOOSES = 0.7
-"""How far the left stick must be pushed to choose the next joint, from 0 to 1. The stick must come back to less than
-half of this before it can choose again."""
+"""How far the left stick must be pushed to choose the next joint; 1 is all the way. Before it can choose again, it must
+come back to less than half of this."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
-"""How long after the last frame a button can count as held. Normally about 20 frames come per second."""
+"""If no frame has come for longer than this, in ns, no button counts as held any more. Normally about 20 frames come
+per second."""
 HOLD_ENDS = 3
 """A hold of MODE ends when this many frames in a row show that MODE is not pressed. Fewer such frames may just be
 transmission errors."""
@@ -55,15 +59,15 @@ class PadNews(Data):
     """The velocity to command (m/s, m/s, rad/s), or None."""
     reset: bool
     arm: tuple[int, float] | None
-    """The joint to turn and the share of its speed, or None."""
+    """The chosen joint, and its speed as a share of the full speed, from -1 to 1. None if no joint is commanded."""
     frozen: bool
     """True if this frame has locked the gamepad, because a stick is pushed and all frames of the last pad.frozen_s have
     been the same."""
 
 
 class Pad:
-    """Follows the gamepad's state from frame to frame. If the gamepad falls silent in the drive mode, the timeout of
-    its commands stops the wheels."""
+    """Follows the gamepad's state from frame to frame. If the gamepad falls silent in the mode `drive`, this class does
+    nothing. The gate then stops the wheels, because the gamepad's last command times out."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -75,13 +79,13 @@ class Pad:
         """The text that explains why a frozen gamepad was locked."""
         self._sample: tuple[int, ...] = ()
         self._sample_ns = 0
-        """The newest frame that differs from the one before it, and when it came."""
+        """`_sample`: the newest frame that differs from the one before it. `_sample_ns`: when that frame came."""
         self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
-        """The velocity that each stick commands when it is pushed all the way."""
+        """The velocity (m/s, m/s, rad/s) that the sticks command when they are pushed all the way."""
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0
-        """The buttons of the last frame, so that a button which is held causes only one stop."""
+        """The buttons of the last frame. They are kept so that a button which is held causes only one stop."""
         self._last_ns: int | None = None
         self._changed_ns: int | None = None
         self._latched_ns: int | None = None
@@ -101,8 +105,8 @@ class Pad:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """Record that there was a stop, which may have been latched and reset before follow() saw it. If a button is
-        held at this moment, the time before the stop does not count towards a reset."""
+        """Record a stop. Call this also for a stop that was latched and reset before follow() saw it. If MODE is held
+        now, the time until now does not count towards a reset."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
@@ -137,8 +141,8 @@ class Pad:
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """Return the cause of a stop if a button was pressed, or None. One frame is enough, because a short tap lasts
-        only one."""
+        """Return the cause of a stop if a button other than MODE was pressed, otherwise None. One frame is enough,
+        because a short tap may last only one frame."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
         return causes.BUTTON(pressed) if pressed else None
@@ -183,9 +187,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """Return True once per hold, if MODE was held long enough and a stop was latched all that time. If the hold
-        began before the stop, only the time since the stop counts, because the person could not know about the stop
-        before. No other button may be pressed."""
+        """Return True if MODE, and no other button, was held for long enough while a stop was latched. True is returned
+        once per hold. If the hold began before the stop, only the time since the stop counts, because nobody can want
+        to reset a stop before it happens."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
@@ -202,14 +206,14 @@ class Pad:
 
 
 class Tones:
-    """Chooses the buzzer's sounds. It remembers what it last saw, so that a sound is made only when something changes.
-    If the setting is off, it makes no sound."""
+    """Chooses the buzzer's sounds. It makes a sound only if something has changed since the last call, and never if the
+    setting buzzer.tones is off."""
 
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """The arguments of the last sound_for(). At first a stop counts as latched, because a stop that is already
-        latched was announced when it happened."""
+        """The arguments of the last sound_for(). At the start, a stop counts as latched. So a stop that was latched
+        before telemetry started makes no second sound."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
         """Return the sound to make now, or None. A latched stop also locks the gamepad, but then only the sound of the

@@ -8,22 +8,25 @@ from failstop.procs.handover import Control, HeldPort
 from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
-"""How long bytes may have waited before they count as old. An old answer must not be taken for the answer to a newer
-ping (procs/schedule.py), and an old position of a stick must not command motion."""
+"""If bytes may have waited for this long, in ns, they count as old, so they get the earliest time at which they can
+have come. Otherwise an old answer might be taken for the answer to a newer ping (procs/schedule.py), and an old
+position of a stick might command motion."""
 
 PROVED_NS = 3_000_000_000
 """How long after a stop the board's bytes may still prove something about the stop (supervisor/proof.py)."""
 
 
 class HeardPort:
-    """Reads the port's bytes. poll() returns them with the latest time at which they can have arrived."""
+    """Reads the port's bytes. poll() returns them with the time when they came. This is the latest possible time, or
+    the earliest possible time if the bytes are old (LATE_NS)."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
         """The last time when no bytes were waiting at the port."""
         self._epoch = self._proved_ns = self.waited_ns = 0
-        """`waited_ns`: how long the last bytes may have waited before they were read."""
+        """`waited_ns`: how long the last bytes may have waited before they were read, in ns. 0 if they are old
+        (LATE_NS)."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
@@ -40,8 +43,8 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """Let new bytes at the port wake telemetry while `busy`, or while a stop may still be proved. Otherwise only
-        the port's loss wakes it. `epoch`: the current epoch, which each stop raises."""
+        """Choose what wakes telemetry. While `busy`, and for PROVED_NS after each stop, new bytes at the port wake it.
+        Otherwise only the port's loss wakes it. `epoch`: the current epoch, which each stop raises."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)

@@ -1,5 +1,5 @@
-"""Proving: publishes what the board's answers and reports prove. The records show up to which time the board has
-handled everything that was written, and since when it has obeyed zero although motion is commanded."""
+"""Proving: publishes what the board's answers and reports prove. The records say up to which time the board has handled
+all writes, and since when it has obeyed zero although motion is commanded."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
 
 FORGOTTEN_NS = 500_000_000
-"""A report of the obeyed command that is older than this says nothing about the present."""
+"""A report about the obeyed command says nothing about the present once it is older than this, in ns."""
 PAUSE_NS = 100_000_000
-"""If the reports pause for longer than this and for longer than two of their periods, the board counts as obeying zero
-only since the first report after the pause. That report may be old, because an adapter that was stalled delivers it
-late. So it does not show what the board obeyed during the pause."""
+"""If the reports about the obeyed command pause for longer than this (in ns) and for longer than two of their periods,
+nobody knows what the board obeyed during the pause. If the board obeys zero, this then counts only from the first
+report after the pause. Even that report may be old, because a stalled adapter delivers reports late."""
 
 
 class Proving:
@@ -41,7 +41,7 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """The time when the last motion was written, if the board's own watchdog has ended that motion; otherwise 0."""
+        """If the board's own watchdog has ended the last motion, the time when that motion was written. Otherwise 0."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
@@ -65,7 +65,8 @@ class Proving:
         self._publish_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
-        """Forget a report that has become old. Call it now and then."""
+        """Forget since when the board has obeyed zero, if its last report about that has become old. Call this now and
+        then."""
         if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
             self._publish_unheeded(0)
 

@@ -13,7 +13,8 @@ from math import isfinite
 AT_REST = 1e-6
 """A speed below this counts as zero, in any unit."""
 READS_APART_NS = 40_000_000
-"""Two readings of an odometer that are closer together than this say little about a slow wheel."""
+"""Two reports of positions that are closer together than this, in ns, are not compared, because a slow wheel may have
+the same position in both."""
 
 
 class ReadBack:
@@ -25,8 +26,8 @@ class ReadBack:
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report. Returns True if it was judged, or if it makes the previous verdict invalid. A report with a NaN
-        is not judged, because it shows neither motion nor rest."""
+        """Add a report. Returns True if there is a new verdict, or if the previous verdict no longer holds. A report
+        with a NaN takes the verdict away, because it shows neither motion nor rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0

@@ -5,10 +5,10 @@ Most restarts are short, because the board's program starts again right after it
 signs of a restart:
 
 - The board sends a text that it prints only when it starts.
-- Its counters fall to zero, although its wheels can't have turned so far since the report before.
-- It obeys zero although the newest command is motion, and it has obeyed this command before.
-- Its reports pause for longer than usual. An adapter that has only stalled delivers the missing reports later, all at
-  once. So a pause counts as a restart only if its reports are still missing a moment after it.
+- Its counters fall to zero, although the wheels can't have turned that far since the last report.
+- It obeys zero although motion was commanded last, and it has already obeyed this motion.
+- Its reports pause for longer than usual, and are still missing a moment after the pause. If only an adapter has
+  stalled, it delivers the missing reports by then, all at once.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from collections.abc import Sequence
 
 MS = 1_000_000
 KEPT_NS = 40 * MS
-"""How long to wait for reports that an adapter may have held back."""
+"""How long after a pause to wait for reports that an adapter may have held back, in ns."""
 LEARN_NS = 400 * MS
 """How long it takes to measure how often the board reports."""
 MISSING = 0.6
 """A pause in the reports counts as a restart only if at least this share of the reports that were due in the pause
 never comes."""
 FASTER = 1.5
-"""Between two reports, a wheel may turn this many times as fast as the fastest turning that was seen before."""
+"""Between two reports, a counter may change this many times as fast as the fastest change that was seen before."""
 FADES = 0.98
-"""The fastest turning that was seen is multiplied by this at each report, so that it is forgotten with time."""
+"""At each report, the fastest change that was seen is multiplied by this, so that it is forgotten with time."""
 LEAST_FALL = 10.0
 """If a counter falls by less than this, in the counter's unit, the robot may just have moved backward. A larger fall
 may be a restart of the board."""
@@ -37,19 +37,19 @@ OBEYS_ZERO = "it obeys zero and was told to drive"
 
 
 class RestartWatch:
-    """Looks for signs of a restart. Each method returns the sign that it found, in words, or an empty text. After a
-    sign it forgets everything, so each restart is found only once."""
+    """Looks for signs of a restart. Each method that gets a report returns the sign that it found, in words, or an
+    empty text. When a sign was found, everything is forgotten, so that each restart is found only once."""
 
     def __init__(self, silent_ns: int) -> None:
-        """`silent_ns`: a pause in the reports of this length means a restart. 0 if the board sends no regular
-        reports."""
+        """`silent_ns`: how long the reports must pause, in ns, to be a sign of a restart. 0 if the board sends no
+        regular reports."""
         self._silent_ns = silent_ns
         self.forget()
 
     def forget(self) -> None:
         """Begin again, for example after another port was opened."""
         self._last_ns = self._other_ns = 0
-        """The times when the last regular report and the last sample of another kind came."""
+        """`_last_ns`: when the last regular report came. `_other_ns`: when the last report of another kind came."""
         self._learned = (0, 0)
         """The time when the counting of the reports began, and how many have come since then."""
         self._period_ns = 0.0
@@ -64,7 +64,7 @@ class RestartWatch:
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Record how many regular reports, and how many samples of other kinds, were just read."""
+        """Record how many regular reports, and how many reports of other kinds, were just read."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -97,8 +97,9 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Judge whether a pause in the reports was a restart. It was one if too many of the reports that were due in
-        the pause have not come, and the counters have not continued from their last values."""
+        """Judge whether the board has restarted during a pause in its reports. It has if too few of the reports that
+        were due in the pause have come since then (MISSING), unless the counters have continued from their last
+        values."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)
@@ -123,14 +124,15 @@ class RestartWatch:
         return ""
 
     def obeyed(self, *, zeros: bool, told_ns: int) -> str:
-        """Check a report of the command that the board obeys. `zeros`: True if the command is zero. `told_ns`: since
+        """Check a report of the command that the board obeys. `zeros`: True if the board obeys zero. `told_ns`: since
         when motion has been commanded, or 0 if a zero or a stop was written last."""
         drove, self._drove = self._drove, 0 if zeros else told_ns
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Handle a sign of a start that the board itself sends, such as a text that it prints when it starts. It counts
-        only after the first report, because some boards restart when their port is opened."""
+        """Handle a text that the board prints when it starts, or another sign of a start that the board itself sends.
+        Until the first report has come, such a sign does not count, because some boards restart when their port is
+        opened."""
         return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

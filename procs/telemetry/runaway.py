@@ -1,9 +1,9 @@
 """Runaway: detects from the board's reports that a wheel does not follow its commands. Pure.
 
 Each report is compared with all speeds that were commanded during the time that the report may describe. If a wheel
-turns faster than these speeds, or in the other direction, it gets as long as it needs to run down from its earlier
+turns faster than all of them, or in the other direction, it gets the time that it needs to slow down from its earlier
 speed. If it has not slowed down by then, it has run away. If a wheel stands still although it is commanded to turn,
-that is only reported as a warning. procs/telemetry/runaway.md explains the thresholds.
+people only get a warning. procs/telemetry/runaway.md explains the thresholds.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ LAG_NS = 300_000_000
 reaches the board, the delay of the board's controller, and a late report."""
 BEYOND_NS = 200_000_000
 """A wheel can count as run away only if it was faster than commanded, or turned in the other direction, for at least
-this long and in at least LEAST_REPORTS reports."""
+this long (in ns) and in at least LEAST_REPORTS reports."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
-"""How long the commands count as known after the last call of follow(). After that, nobody can say what the wheels
-should do."""
+"""If follow() was not called for longer than this, in ns, nobody knows what was commanded meanwhile, so everything is
+forgotten."""
 SLOWS = 0.92
 """A wheel that has been too fast for some time is slowing down if its speed in the second half of that time is below
 this share of its speed in the first half. It then only rolls out, and has not run away."""
 HELD_BACK_NS = 20_000_000
-"""How late a serial adapter may deliver a report (its latency timer). If the report is a position, the delay looks like
-a higher speed."""
+"""How late a serial adapter may deliver a report, in ns (its latency timer). If the reports are positions, a late
+report makes the next speed seem higher than it is."""
 STANDS_NS = 3_000_000_000
 """A wheel that does not turn for this long although motion is commanded is stalled or unplugged."""
 STANDS_SHARE = 0.1
@@ -55,7 +55,7 @@ class Margins(Data):
     share: float
     """How much faster than commanded the wheel may turn, as a share of the commanded speed."""
     rim_mps: float
-    """How much the speed at the wheel's rim may also differ in either direction, m/s."""
+    """A further difference that is allowed, in either direction: a speed of the wheel's rim, m/s."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
@@ -72,17 +72,18 @@ class Limits(Data):
     """The longest time between two reports."""
     share: float
     rps: float
-    """A speed below this counts as zero, turns per second. It includes the rounding of commands."""
+    """The allowed difference that does not depend on the command, in turns per second: Margins.rim_mps and one step of
+    the rounded commands. A speed below this counts as zero."""
     counts: float
     """Counts per turn of a wheel, or 0 if the board reports speeds."""
     braking_rps2: float
     """How fast a wheel slows down at least, in turns per second squared."""
     told_rps: float
-    """A wheel may stand still if its commanded speed is below this, turns per second."""
+    """A wheel may stand still if its commanded speed is below this, in turns per second."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """Return how long a wheel may turn faster than commanded, ns. This is the time to run down from `told_rps`,
-        plus a margin."""
+        """Return how long a wheel may turn faster than commanded before it can count as run away, in ns. This is the
+        time that it needs to slow down from `told_rps`, and BEYOND_NS."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
@@ -115,8 +116,8 @@ class Finding(Data):
 
 
 class _Wheel:
-    """Keeps two times for one wheel: when it began to turn faster than commanded or in the other direction, and when it
-    began to stand still."""
+    """What the judge remembers about one wheel, above all two times: since when it turns faster than commanded or in
+    the other direction, and since when it stands still."""
 
     __slots__ = (
         "before_rps",
@@ -136,9 +137,9 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """Four sums about the time in which the wheel does not turn as commanded. The first two are for the first half
-        of this time: the sum of speed times weight, and the sum of the weights. The last two are the same sums for the
-        second half."""
+        """Four sums over the reports in which the wheel was too fast or turned in the other direction. The first two
+        are for the first half of that time: the sum of speed times weight, and the sum of the weights. The last two are
+        the same sums for the second half."""
         self.stand_noted = False
         """True if it was already reported that the wheel stands still."""
 
@@ -162,9 +163,9 @@ class _Wheel:
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """Return True if the wheel slows down so much that one count of the encoder and a late report can't explain it.
-        Also return True if one of the two halves (see SLOWS) has no report, because then nobody can tell. `count`: one
-        count, in turns times ns. `late_ns`: how late a report may be."""
+        """Return True if the wheel slows down by more than one count of the encoder and a late report can explain. Also
+        return True if nobody can tell, because one of the two halves (see SLOWS) has no report. `count`: one count, in
+        turns times ns. `late_ns`: how late a report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -190,11 +191,12 @@ class RunawayJudge:
         self._read_ns = 0
         self._turns: Told = ()
         self._moves = False
-        """True if motion is commanded, or was commanded and the wheels have not been seen at rest since then."""
+        """True from the time when motion is commanded until a report shows the wheels at rest while zero is
+        commanded."""
 
     def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
-        """Record the speeds that are commanded from `since_ns` on, in turns per second by wire id. While motion is not
-        `enabled`, nothing is judged."""
+        """Record the speeds that are commanded from `since_ns` on, in turns per second by wire id. If motion is not
+        `enabled`, forget all commands, so that nothing is judged."""
         if not enabled or now_ns - self._followed_ns > UNFOLLOWED_NS:
             self._forget(now_ns)
         self._followed_ns = now_ns
@@ -226,8 +228,8 @@ class RunawayJudge:
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
         """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
-        the first wheel that does not turn as commanded, or None. A wheel that still runs away is returned again only
-        after it was too fast for the whole allowed time once more."""
+        the first wheel that does not turn as commanded, or None. If a wheel that has run away does not slow down, it is
+        returned again each time the whole allowed time has passed once more."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -286,10 +288,10 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """Return the longest gap between two reports that still counts as covered. If a wheel is too fast in both
-        reports, it counts as too fast between them too. In a longer gap, the wheel may have done anything. For reports
-        of positions the gap may be longer than for reports of speeds, because a position shows how far the wheel has
-        turned since the previous report."""
+        """Return the longest gap between two reports, in ns, for which this holds: if a wheel is too fast in both
+        reports, it counts as too fast between them. In a longer gap, it may have done anything. If the reports are
+        positions, the gap may be longer, because a position shows how far the wheel has turned since the previous
+        report."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

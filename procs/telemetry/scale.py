@@ -1,9 +1,9 @@
 """Scale: compares how fast the wheels and the robot turn with what was commanded. Pure.
 
-It uses only measurements that don't depend on the scale of the commands. These are the gyro's turn rates, and the
-wheels' speeds if the board reports them with a scale of its own. A wheel lags behind its command, so the comparison
-begins a moment after the command has changed. The shorter the compared time, the larger a difference must be before it
-is reported.
+It uses only measurements that don't depend on the setting board.per_rps, the scale of the commands. These are the
+gyro's turn rates, and the wheels' speeds if the board reports them with a scale of its own. A wheel lags behind its
+command, so the comparison begins a moment after the command has changed. The shorter the compared time, the larger a
+difference must be before it is reported.
 """
 
 from __future__ import annotations
@@ -27,20 +27,19 @@ BEGINS_S = 0.2
 REACHED_S = 0.3
 """A command that has stayed the same for this long counts as reached. Only then can a wheel be called too slow."""
 RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
-"""How many seconds of motion must have been compared before a difference counts. The first value is for the time while
-the command rises, and the second for the time after it was reached."""
+"""How many seconds of motion must have been compared before a difference counts. The first value is for the sums
+Ratio.risen, and the second for Ratio.reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
-"""These values, divided by the compared seconds, are added to the allowed factor. So after a short comparison only a
-large difference counts. The first value is for the time while the command rises, and the second for the time after it
-was reached."""
+"""Such a value, divided by the compared seconds, is added to the allowed factor. So after a short comparison only a
+large difference counts. The first value is for the sums Ratio.risen, and the second for Ratio.reached."""
 FORGET_S = 10.0
 """When the sums cover more than this many seconds, they are halved, so that the result follows changes of the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
-"""Commands below these (turns per second, rad/s) are not compared, because they are rounded, and a motor may not start
-to turn."""
+"""Commands below these (turns per second, rad/s) are not compared. They are rounded coarsely, and may be too small to
+start a motor."""
 UNTURNED = 0.05
-"""A wheel that turns at less than this share of its commanded speed counts as standing still, because it is unplugged
-or held."""
+"""A wheel that turns at less than this share of its commanded speed is left out. It is probably unplugged or held, so
+it says nothing about the scale."""
 SAME = 1e-6
 
 
@@ -99,8 +98,8 @@ class Ratio:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, least: float, most: float) -> bool:
-        """Return True if the ratio is certainly below `least` or above `most`. A wheel that lags behind is not slow, so
-        while the command rises the wheel can only be called too fast."""
+        """Return True if the ratio is certainly below `least` or above `most`. While the command rises, a wheel may lag
+        behind it without being too slow, so only `most` is checked then."""
         risen, reached = self.risen, self.reached
         if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
             return True
@@ -145,8 +144,8 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare the commanded with the measured motion since the last call. Returns True if there is now something in
-        `wrong` or `remarks` where nothing was, or the other way round.
+        """Compare the commanded with the measured motion since the last call. Returns True if `wrong` or `remarks` was
+        empty before and is not now, or the other way round.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
         `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.

@@ -1,5 +1,4 @@
-"""Silence: keeps the time when the board last sent something, and how long it may pause before it counts as silent.
-Pure.
+"""Silence: keeps when the board last sent something, and after which pause the board counts as silent. Pure.
 
 Only a board that sends reports without being asked can be judged by its pauses. If a board sends only answers, its
 silence shows as unanswered pings, which the supervisor judges (supervisor/proof.py).
@@ -18,33 +17,32 @@ if TYPE_CHECKING:
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
 """The kinds of reports that come regularly. A key or a gamepad sends reports only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""The shortest pause that can count as silence. An adapter may stall for up to 0.3 s, and a restart takes about as
-long."""
+"""The shortest pause that can count as silence, in ns. A stalled adapter and a restart of the board, which take about
+0.3 s each, don't count."""
 DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""How many pauses are measured at least, if the description gives no pause. The measurement also takes at least
-SEEN_FOR_NS. Until its end the board never counts as silent."""
+"""If the board's description gives no pause, at least this many pauses are measured, for at least SEEN_FOR_NS. Until
+then, the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""First the board's usual pauses are measured. Later, a pause is silence if it is at least MEAN_PAUSES times as long as
-the mean pause and LONGEST_PAUSES times as long as the longest pause of this measurement. While the machine is held up,
-pauses look longer than they are. So the measurement is repeated, and a later measurement can shorten the limit, but not
-lengthen it."""
+"""After the board's usual pauses were measured, a pause counts as silence if it is at least MEAN_PAUSES times as long
+as their mean, and at least LONGEST_PAUSES times as long as the longest of them. If the machine is held up, the measured
+pauses are too long. So the measurement is repeated, and a later one can shorten the limit, but not lengthen it."""
 NOISE_NS = 2_000_000_000
-"""Unreadable bytes count as a sign of life for this long after the last readable report. A few garbled reports in a row
-are no silence."""
+"""How long after the last readable report unreadable bytes still count as a sign of life, in ns. So a few garbled
+reports in a row are no silence."""
 
 
 class Silence:
-    """Keeps the time when one board at one port last sent something, and how long it may pause. Times are
-    CLOCK_MONOTONIC in ns."""
+    """Keeps when the board at one port last sent something, and how long the board may pause. Times are CLOCK_MONOTONIC
+    in ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
         """`patience_ns`: how long the board may pause, as an earlier telemetry process has measured it; 0 if not
         known."""
         self.said_ns = 0
-        """The time when the board last sent anything, or 0 if it has not."""
+        """The time when the board last sent something, or 0 if it has not. For unreadable bytes, see NOISE_NS."""
         self.patience_ns = patience_ns
         """How long the board may pause. 0 if that is not known, or if the board sends only answers."""
         self._understood_ns = self._regular_ns = 0

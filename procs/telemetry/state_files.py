@@ -1,8 +1,5 @@
-"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each file is
-written completely or not at all.
-
-If a file can't be written, the only effect is one line in the journal.
-"""
+"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each write is done
+completely or not at all. If it fails, the only effect is one line in the journal."""
 
 from __future__ import annotations
 
@@ -17,16 +14,18 @@ from failstop.files import durable
 Job = tuple[str, Callable[[], None]]
 
 THREAD_STACK_BYTES = 256 * 1024
-"""The stack size of the thread. Only the part that is used takes locked memory, but the whole stack counts against the
-limit."""
+"""The stack size of the thread that writes. It is small, because the whole stack counts against the limit of locked
+memory, although only the part that is used is locked."""
 MOST_READ = 4096
 """The most bytes of a file that are read. Each of these files holds one line."""
 MOST_JOBS = 100
-"""How many jobs may wait for the disk. With one line every 10 s, this is enough for a quarter of an hour."""
+"""How many jobs may wait for the disk. More are dropped. With one line every 10 s, this is enough for a quarter of an
+hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
-    """Append a whole line to a file. A new file starts with the header. After an OSError the file is as it was."""
+    """Append a whole line to a file. If the file is new, begin it with the header. If this raises OSError, the content
+    of the file is as it was before."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
@@ -58,7 +57,8 @@ class StateFiles:
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
-        """The files whose last write failed, each with the reason. Normally only the thread uses this."""
+        """The files whose last write failed, each with the reason. The thread uses this; the loop does so only if no
+        thread could be started."""
         self._running = False
 
     def read(self, what: str, name: str) -> str:

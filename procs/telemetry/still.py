@@ -1,10 +1,10 @@
 """Still: judges from the gyro whether the wheels are still. Pure.
 
 Turning wheels shake the robot. The shaking shows in the standard deviation of gyro x and gyro y over a window of
-samples. Turning wheels don't always shake the robot much, so a window is sometimes quiet by chance. So the verdict is
-"still" only when all windows were quiet for HOLD_NS after the first quiet window. docs/reference/telemetry.md says how
-often the verdict is wrong for several lengths of window and hold, how late it comes, and how an IMU with another rate
-affects it.
+samples. Sometimes the wheels turn and hardly shake the robot, so a single quiet window may be chance. The verdict is
+"still" only after all windows were quiet for HOLD_NS, counted from the end of the first quiet one.
+docs/reference/telemetry.md has measurements: how often the verdict is wrong and how late it comes, for several values
+of WINDOW_NS and HOLD_NS, and what changes with the rate of the IMU.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class StillJudge:
     """Decides since when the wheels have been still. The gyro's bias does not matter, because it does not change the
     standard deviation.
 
-    Shaking below the limit counts as still. On the robot, this is the case when it drives straight at less than about
-    0.08 m/s.
+    If turning wheels shake the robot by less than the limit, they count as still. On the robot, this is the case when
+    it drives straight at less than about 0.08 m/s.
     """
 
     def __init__(self, std_radps: float) -> None:
@@ -36,15 +36,15 @@ class StillJudge:
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """The times of the first and the last sample of one window: the one since which all windows have been quiet.
-        Zeros if the present window is not quiet."""
+        """The first of the quiet windows, as the times of its first and last sample. All windows since then have been
+        quiet. Zeros if the present window is not quiet."""
         self.still_ns = 0
-        """The time since which the wheels have been still: all samples from this time on are in quiet windows. 0 if the
-        wheels turn, or if it is not known. The time may be a little before the wheels stopped, because a window is
-        quiet as soon as the wheels were at rest during most of it."""
+        """Since when the wheels have been still: the time of the first sample in the quiet windows. 0 if the wheels
+        turn, or if it is not known. The wheels may have stopped a little later than this, because a window is quiet as
+        soon as they were at rest during most of it."""
         self.judged_ns = 0
-        """The time of the newest sample, or 0 if there is no verdict now. For example, there is none until the windows
-        have been quiet for HOLD_NS."""
+        """The time of the newest sample, or 0 if it gives no verdict. There is no verdict, for example, while the
+        windows are quiet but have not been quiet for HOLD_NS."""
 
     def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
         """Add one finite sample. It may contain the bias or not. Takes about 2 us."""

@@ -5,9 +5,10 @@ What it does depends on the state of the gate:
     motion enabled         nothing, because the gate reads the same fact and disables motion with a burst
     motion was disabled    write the stop again; if the wheels still turn after still.after_s, latch a stop (UNSTILL)
       because they turned
-    otherwise disabled     somebody pushes the robot, or another program drives it: report it, and write the stop again
-    a stop is latched      nothing until the wheels were seen still once, because the supervisor follows the stop; after
-                           that, the same as when motion is otherwise disabled
+    motion disabled for    write the stop again, and report it: somebody pushes the robot, or another program drives it
+      another reason
+    a stop is latched      nothing until the wheels were seen still once, because the supervisor watches until then
+                           whether the stop works; after that, the same as if motion is disabled for another reason
 
 If the motion is seen only by an IMU, telemetry only logs a note, because a robot that is carried shakes too.
 """
@@ -21,8 +22,8 @@ from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 NOTE_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
-"""The shortest time between two notes about wheels that still turn. The key is True if the board's reports show it, and
-False if only an IMU notices it."""
+"""The shortest time between two notes that the wheels still turn, in ns. The key is True if the board's reports show
+this, and False if only an IMU does."""
 
 
 class Reaction(Data):
@@ -42,7 +43,8 @@ class Unasked:
     """Decides the reaction. Call update() at each change of the wheels or of the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long the wheels may turn after zero was commanded."""
+        """`after_ns`: how long the wheels may still turn before a stop is latched, if motion was disabled because they
+        turned. It is also the shortest time between two writes of the stop."""
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
@@ -55,7 +57,7 @@ class Unasked:
         self._noted_turning = False
 
     def update(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
-        """Decide the reaction to the newest fact about the wheels. `epoch`: the gate's epoch, which every stop
+        """Decide the reaction to the newest fact about the wheels. `epoch`: the current epoch, which every stop
         raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:

@@ -1,8 +1,8 @@
 """Wheels: what is known about the wheels at the moment. It comes from the board's reports, or from the IMU if there are
 none. Pure.
 
-Every screen shows the same fact: the wheels turn, they are still, or nobody knows. The board's own reports have
-priority, because an IMU only feels that the robot moves or is being moved.
+All screens show one and the same fact: the wheels turn, or they are still, or nobody knows. An IMU can't tell whether
+the wheels turn or somebody moves the robot, so the board's own reports have priority.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ FASTEST_RPS = 50.0
 """The highest speed that is believed, in turns per second (12 m/s for a wheel of 8 cm). It is higher if the settings
 allow high speeds."""
 LEAST_TURN = 0.02
-"""A change of fewer turns than this does not count as a jump of a counter (5 mm for a wheel of 8 cm)."""
+"""If a counter changes by fewer turns than this, it has not jumped (5 mm for a wheel of 8 cm)."""
 LONGEST_SILENCE_NS = 500_000_000
-"""If the board was silent for longer than this, nobody knows how a wheel turned meanwhile, unless the board counts
-turns."""
+"""If a board that does not count turns was silent for longer than this, in ns, nobody knows how its wheels turned
+meanwhile."""
 SAME_READ_NS = 5_000_000
 """Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""After a counter has started again at zero, its first report is expected within this time."""
+"""How long a counter that has started again at zero can have counted before its first report comes, in ns."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
@@ -84,8 +84,8 @@ class Measured:
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report of the board, in the board's own units. Returns True if `speeds_rps` was measured with this
-        report. Otherwise `speeds_rps` is older."""
+        """Add a report of the board, in the board's own units. Returns True if `speeds_rps` now comes from this report,
+        and False if it still comes from an earlier one."""
         told = self._reports
         rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
         counts = positions if self.counts else ()
@@ -169,7 +169,7 @@ class Measured:
         return all(abs(step) <= most for step in steps)
 
     def _restarted(self, positions: tuple[float, ...], steps: tuple[float, ...], elapsed_ns: int) -> bool:
-        """Return True if all counters are close to zero although the wheels were not turning towards zero."""
+        """Return True if all counters are close to zero, although the wheels can't have turned them back that far."""
         if len(self.speeds_rps) != len(positions):
             return False
         short_s, elapsed_s = min(elapsed_ns, _AT_ONCE_NS) * 1e-9, elapsed_ns * 1e-9
@@ -185,8 +185,8 @@ class Measured:
 
 
 class Way:
-    """Checks whether the wheels have moved since they were last at rest, if the board reports only positions. A count
-    may flip back and forth if the encoder rests on an edge; that does not count as movement."""
+    """Checks whether the wheels have moved since they were last at rest. It matters only if the board reports positions
+    and no speeds: if the encoder rests on an edge, a count may flip back and forth, which is no movement."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
@@ -223,7 +223,7 @@ class WheelFact:
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
     ) -> None:
         """Judge the wheels again. `told_zero_ns`: since when zero has been commanded, or 0 if motion is commanded.
-        `went`: False if the wheels have moved no further than a flipping count explains (see Way)."""
+        `went`: False if the wheels have not really moved (see Way)."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
         before = (self.does, self.by)
         self.read_ns = judge.judged_ns
