@@ -17,9 +17,9 @@ For a motion frame, the checks are made in this order, and the first one that fa
 
 The port owner stops by itself if it is the first to notice a cause. After that, it refuses all motion until it sees an
 epoch that is newer than the one in which it stopped. If a frame that commands zero speed would be dropped while the
-wheels may turn, it gets STAND_STILL instead, so the port owner writes a stop. It is never too late to stop.
+wheels may turn, it gets STAND_STILL instead: the port owner writes a stop, because it is never too late to stop.
 
-For a frame for the servos, the same checks are made, but instead of the last one (a whole motor frame) these:
+For a frame for the servos, all these checks except the last are made too. Instead of the last one, these follow:
 
     check                                                    if it fails
     the robot has an arm, and the frame is a whole one for   stop with a cause
@@ -33,9 +33,9 @@ For a frame for the servos, the same checks are made, but instead of the last on
     the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
       less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
-The receiver is the board's: while it passes a frame on to the servos, it receives nothing. A servo move that has to
-wait is written one or two milliseconds late. If it were dropped instead, its joints would stop until the next move, one
-period later.
+"The receiver" is the board's. While it passes a frame on to the servos, all later frames wait for it, even a stop. A
+servo move that has to wait is written one or two milliseconds late. If it were dropped instead, its joints would stop
+until the next move, one period later.
 
 Before a motion frame is written, these invariants are checked too. They use facts that the checks above don't use. If
 an invariant is broken, the robot is stopped because of that defect (DEFECT):

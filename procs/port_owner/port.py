@@ -62,8 +62,8 @@ class OpenPort:
 
     def _hear(self, now_ns: int) -> None:
         """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or if a
-        stop comes between them, the rest is sent later. Only after that does the port count as open. If it counted as
-        open earlier, motion could begin although the board's own watchdog was never set."""
+        stop comes between them, they are sent again later. Only after that does the port count as open. If it counted
+        as open earlier, motion could begin although the board's own watchdog was never set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)

@@ -18,9 +18,8 @@ nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""Each new reading is compared with the readings that are more than this much older (but not more than JUMP_WINDOW_NS),
-in ns. Readings in between may already show a part of a step, because the firmware averages its readings over about 3
-s."""
+"""A new reading is compared only with readings that are older by more than this, in ns, and by at most JUMP_WINDOW_NS.
+The newest readings may already show a part of a step, because the firmware averages over about 3 s."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled, in ns, before a step in the voltage counts as the charger's. When the motors
 begin or end to draw current, the voltage also makes a step, of up to 170 mV."""

@@ -43,12 +43,12 @@ class GyroBias:
     rest.
 
     calibrating -> calibrated  if the robot was still for the whole time. The mean of the samples is the bias.
-                -> kept        if the robot moved, or if motion was commanded. People are warned, and the bias stays as it
-                               was before the calibration (zero at the first start).
+                -> kept        if the robot moved, or if motion was commanded. People are warned, and the bias stays as
+                               it was before the calibration (zero at the first start).
 
     After a calibration that succeeded, the bias is at first the plain average of all samples at rest, with those of the
     calibration. When the average covers one time constant (imu.tracking_tau_s), the bias begins to follow the samples
-    with this time constant. After a calibration that failed, it does so at once.
+    with this time constant. After a calibration that failed, it follows them in this way at once.
 
     In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8 minutes. It
     drifted by 0.17 degrees if the bias followed with the time constant as soon as the calibration had ended (40 seeds;

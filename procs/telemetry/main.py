@@ -44,8 +44,8 @@ LONGEST_IDLE_NS = 50_000_000
 """The longest sleep of telemetry, in ns. While the robot is at rest, bytes from the board don't wake telemetry, so it
 reads them this often."""
 ODOMETRY_NS = 20_000_000
-"""How often odometry is published, in ns. The state of the wheels and the comparison of the speeds are published in the
-same turns as odometry, but not in each of them."""
+"""How often odometry is published, in ns. The state of the wheels and the comparison of the speeds are published only
+in turns that also publish odometry."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
@@ -87,8 +87,8 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state. Returns True if it has changed. If the gate is silent for too long, this changes the
-        state too: motion then counts as disabled, and zero as commanded."""
+        """Read the gate's state. Returns True if there is a new one. A gate that has been silent for too long counts as
+        a new state too, in which motion is disabled and zero is commanded."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:

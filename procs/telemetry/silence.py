@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
 """The kinds of reports that come regularly. A key or a gamepad sends reports only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""The shortest pause that can count as silence, in ns. A stalled adapter and a restart of the board, which take about
-0.3 s each, don't count."""
+"""The shortest pause that can count as silence, in ns. A stalled adapter and a restart of the board, which take up to
+about 0.3 s each, don't count."""
 DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the board's description gives no pause, at least this many pauses are measured, for at least SEEN_FOR_NS. Until
-then, the board never counts as silent."""
+"""If the board's description gives no pause, at least this many pauses are measured, for at least SEEN_FOR_NS. Until a
+measurement has ended, the board never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
 """After the board's usual pauses were measured, a pause counts as silence if it is at least MEAN_PAUSES times as long
 as their mean, and at least LONGEST_PAUSES times as long as the longest of them. If the machine is held up, the measured
