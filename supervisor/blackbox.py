@@ -23,25 +23,27 @@ from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
-"""How long after a stop the saver is started. The start blocks the supervisor until the new process gets a processor
-core, and meanwhile the supervisor can't renew the lease for motion. So the saver starts before anyone can have enabled
-motion again, but after the stop's repeats at 20 and 100 ms, so that it does not delay them."""
+"""How long after a stop the saver is started. Starting a process blocks the supervisor until the new process gets a
+processor core. During that time the supervisor can't renew the lease for motion, so the saver starts before a person
+can have reset the stop and enabled motion again. Starting it at once could delay the repeats of the stop, and after
+this time most boards have had all of them."""
 COPY_NS = 2_200_000_000
-"""How long after a stop the saver copies the rings. After 2.0 s, nothing more can be learned about a stop
-(proof.py)."""
+"""How long after a stop the saver copies the rings. With the default settings, nothing more becomes known about a stop
+after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""How long the saver for an earlier, dead run waits, at most, until the current run is ready."""
+"""If an earlier run has died, a saver saves what that run has left, as soon as the current run is ready. This is the
+longest time that it waits for that."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
 """How many stops may wait for a saver. More are very unlikely, because a person must reset each stop before another
 stop can be latched."""
 ON_TIME_NS = START_NS
-"""A saver that is late by more than this is not started while the robot may move, because starting it could hold up the
-driver."""
+"""A saver that is late by more than this is not started while the robot may move, because starting it could block the
+supervisor for so long that the robot stops."""
 GIVE_UP_NS = 30_000_000_000
-"""A stop is not saved if its saver is late by more than this and still can't be started. By then, the rings hold less
-than half a minute from before the stop."""
+"""If the saver for a stop is late by more than this and still can't be started, the stop is not saved. The rings cover
+about a minute, so by then they hold less than half a minute from before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
@@ -101,7 +103,8 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the next saver, unless too many savers are running or the start could hold up a driver."""
+        """Start the next saver. Do nothing while MOST_SAVERS are running, or if the saver is late and the robot may
+        move (ON_TIME_NS). Give up a saver that is much too late (GIVE_UP_NS)."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
@@ -116,9 +119,9 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """Start a saver for an earlier run, if that run did not end cleanly. It starts now, because a later start could
-        hold up a driver. But it waits until the current run is ready, so that it does not slow down the start of the
-        service."""
+        """If an earlier run did not end cleanly, start a saver for it. The saver is started now, because later its
+        start could stop a robot that moves. But it saves nothing until the current run is ready, so that it does not
+        slow down the start of the service."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
@@ -179,8 +182,8 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Start the savers that still wait, as many as may run, and wait for all savers for at most FINISH_S. Called at
-        the end of the service, after the last burst."""
+        """Start the savers that are not started yet, until MOST_SAVERS are running. Then wait for all savers, for at
+        most FINISH_S in total. Called at the end of the service, after the last burst."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

@@ -2,8 +2,8 @@
 
 The supervisor runs this script for each of its children, and `failstop run` runs it for the supervisor. The option -S
 leaves out Python's site module. In a small process, the site module would take longer than all other imports together.
-Without it, Python does not find every package, so the starting process passes its own search path in an environment
-variable.
+Without the site module, Python does not find every package, so the starting process passes its own search path in an
+environment variable.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """Print the error and end this process at once, as if it had been killed. A normal exit of the interpreter would
-    take 5 ms, and the robot would be stopped 5 ms later. The traceback has no source lines. It is printed only if
-    stderr can accept it at once."""
+    """End this process at once, as if it had been killed, because a normal exit of the interpreter would take 5 ms, and
+    the robot would be stopped 5 ms later. Before that, print the error with a traceback without source lines, but only
+    if stderr can accept it at once."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

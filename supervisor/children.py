@@ -56,14 +56,14 @@ ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
 class Fence(Data):
-    """How a hung process was killed, and what followed. Times are CLOCK_MONOTONIC in ns; 0 means that the step has not
-    happened."""
+    """How a process was killed because it was silent for too long, and what followed. Times are CLOCK_MONOTONIC in ns;
+    0 means that the step has not happened."""
 
     noticed_ns: int
     kill_ns: int
     burst_ns: int
     """When the supervisor wrote the stop on its own descriptor, right after the kill. It writes the stop only if the
-    hung process is the port owner."""
+    killed process is the port owner. Otherwise 0."""
     silent_ns: int = 0
     was_starved: bool = False
     """True if the machine did not run the process, so the process itself was not at fault."""
@@ -92,8 +92,9 @@ class Child:
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
         """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
-        `settings`: they contain the lease. The process's deadline is the lease or the deadline in the row, whichever is
-        longer. A lease longer than the row's deadline means that the machine is too slow for that deadline."""
+        `settings`: the settings, with the lease (gate.lease_s). If the lease is longer than the deadline in the row,
+        the lease is this process's deadline, because such a lease is set on a machine that is too slow for the row's
+        deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
@@ -110,9 +111,9 @@ class Child:
         self.restart = restart
         """The timer for the next start of the process."""
         self.fence: Fence | None = None
-        """The record of the kill if the process was killed because it hung, otherwise None."""
+        """The record of the kill if the process was killed because it was silent for too long, otherwise None."""
         self.excused_ns = 0
-        """Silence before this time does not count against the process. It is 0 if nothing excuses the process."""
+        """The process's silence up to this time is excused. 0 if no silence is excused."""
         self._spared_ns = 0
         """The time of the process's last beat if it is silent because the machine does not run it, otherwise 0."""
         self.defects: list[Cause] = []
@@ -144,10 +145,10 @@ class Child:
         self.on(STARTED)
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
-        """Record a death, and return how long to wait before the restart, ns. Only deaths in the time window
-        restart.window_s count. The wait is 0 after the first death and restart.backoff_s after the second, and each
-        further death doubles it, up to LONGEST_WAIT_NS. Returns None after too many deaths: the process is not
-        restarted, because it could crash again and again, and the robot stays stopped until a reset."""
+        """Record a death, and return how long to wait before the restart, ns. Only the deaths in the last
+        restart.window_s count. If this is the first of them, the wait is 0. For the second it is restart.backoff_s, and
+        each further death doubles it, up to LONGEST_WAIT_NS. Returns None once there are restart.deaths of them. Then
+        the caller leaves the process down, because it would probably crash again and again."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -172,9 +173,9 @@ class Child:
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
-        """Excuse a silence, because the machine did not run the process. From `now_ns` on, the process may be silent
-        for its full time again. `silent_ns`: how long it had been silent when the supervisor looked. It may have beaten
-        since then."""
+        """Excuse a silence, because the machine did not run the process. The process may then be silent for
+        allowed_ns() once more, counted from `now_ns`. `silent_ns`: how long the process had been silent when the
+        supervisor looked. It may have beaten since then."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
@@ -189,8 +190,8 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """The time from which the process counts as hanging if it has not beaten by then. NEVER if no beat is
-        expected."""
+        """The time when the process's silence becomes too long, unless the process beats before. A process that is
+        starting must have reported by then that it runs. NEVER if no beat is expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns

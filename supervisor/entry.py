@@ -1,5 +1,5 @@
-"""The supervisor's entry point. `failstop run` becomes the supervisor by exec, in the same process. By then it has
-already opened the port, written the first stop and locked the instance's name."""
+"""The supervisor's entry point. `failstop run` first opens the port, writes the first stop and locks the instance's
+name. Then it becomes the supervisor by exec, in the same process."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
 
 
 def _serve(supervisor: Supervisor) -> int:
-    """Serve until SIGTERM or SIGINT, or until the supervisor can't go on. Returns the exit code."""
+    """Run the supervisor's loop until SIGTERM or SIGINT comes, or until the service can't go on. Returns the exit
+    code."""
     supervisor.handover.opener.begin()
     signal.signal(signal.SIGTERM, supervisor.end)
     signal.signal(signal.SIGINT, supervisor.end)
@@ -85,10 +86,10 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _keep_descriptors(lock: int, port: int) -> int:
-    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. The lock and the port get
-    small numbers, because select() can't use a number above 1023. The supervisor's children inherit neither of the two,
-    unless the supervisor passes the port on. The lock stays open as long as this process lives. Returns the new number
-    of the port."""
+    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. Then duplicate the lock and
+    the port. Their new numbers are small, because select() can't use a number above 1023. The supervisor's children
+    don't inherit the lock, and they inherit the port only if the supervisor passes it on. The lock stays open as long
+    as this process lives. Returns the new number of the port."""
     with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
             with contextlib.suppress(OSError):  # the descriptor of the listing itself

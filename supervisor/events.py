@@ -26,17 +26,17 @@ FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
-"""How long events wait, at most, until a stop is written. Normally a stop is written within 5 ms. If it takes longer
-than this, the stop probably can't be written at all, and people must learn about it."""
+"""The longest time that events wait for a stop to be written. Normally a stop is written within 5 ms. A stop that takes
+longer than LONGEST_HOLD_NS probably can't be written at all, and people must learn about it."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""The longest text of an event, and the longest value of each field, in bytes. If the event is too long with the first
-pair of limits, the second pair is used, and then the third."""
+"""Pairs of limits, in bytes: (the longest text of an event, the longest value of a field). The first pair is used with
+which the whole event is short enough."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not one of them,
-because a person must reset a latched stop before another stop can be latched."""
+"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not one of them:
+there is only one for each latched stop, and the next stop can be latched only after a reset."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
 """How many bytes the events of one kind and level may take in the log per minute. A latched stop takes about 500 bytes,
@@ -185,7 +185,7 @@ class Events:
 
     def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
         """Count `size` bytes for this sort of event. Returns False if the sort has used up its bytes for this minute.
-        The event must then be dropped, so a flood becomes a few lines and a count."""
+        The caller must then drop the event, so that a flood of events becomes a few lines and a count in the log."""
         if t_ns - self._minute_ns >= MINUTE_NS:
             self._minute_ns, self._spent = t_ns, Counter()
         self._spent[sort] += size
@@ -200,15 +200,15 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for an event that any user can cause again and again, and so flood the log."""
+    """True if any user could flood the log with events like this one."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. `what`: how many characters at the start of the text say what has
-    happened. The remaining text says what the reader can do next. `what` is 0 if the text does not say this."""
+    """One event for the ring, as a msgpack map. `what`: the length in characters of the first part of the text, which
+    says what has happened, if a second part says what the reader can do next. Otherwise 0."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 

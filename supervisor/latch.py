@@ -1,9 +1,9 @@
-"""The latch and the epochs. The first stop after a reset is latched: it stays in force, and its cause is shown, until a
-person resets it. Each stop also raises the epoch, which is a counter.
+"""The latch and the epochs. The first stop of a run, and the first one after each reset, is latched: it stays in force,
+and its cause is shown, until a person resets it. Each stop also raises the epoch, which is a counter.
 
 Only the supervisor raises the epoch, latches stops and resets. Every other process reads what the supervisor publishes.
 The epoch is published last. So a process that sees a new epoch also sees the cause of the stop, and sees that the
-service is not ready. The process does not need to wait until its bell rings.
+service is not ready, even before its bell rings.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class Epochs:
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """Since when a stop is owed; 0 if no stop is owed. A stop is owed until the port owner answers it or the
-        supervisor writes it."""
+        """The time when the oldest stop came that is still owed; 0 if none is. A stop is owed until the port owner or
+        the supervisor has written it."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)

@@ -1,11 +1,12 @@
-"""The supervisor's loop. It first handles deaths of processes, then causes of stops that other processes have noticed.
-After that, it starts and watches processes. Only the supervisor raises the epoch, a counter of stops.
+"""The supervisor's loop. Only the supervisor raises the epoch, which counts the stops.
 
 Each turn of the loop runs in this order:
 
 1. If the port owner has died, write the stop burst.
-2. Raise the epoch and ring the bells, so that every process that can write a stop writes one.
-3. Log and publish what has happened.
+2. If any process has died, or has noticed a cause of a stop, raise the epoch and ring the bells of the port owner and
+   the gate. The port owner then writes a stop.
+3. Start, watch, kill and reap processes.
+4. Log and publish what has happened.
 """
 
 from __future__ import annotations
@@ -39,27 +40,27 @@ from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""The time between two beats of the supervisor, a third of the lease. Each beat allows motion until one lease has
-passed."""
+"""The time between two beats of the supervisor. Each beat allows motion for one lease (gate.lease_s), which is three
+times as long by default."""
 AT_REST_NS = 2 * TICK_NS
 """The time between two beats of the supervisor while nothing can move. No process checks the lease then, so a longer
 time is enough, and it saves processor time."""
 BEATS_ALONE = 2
-"""While nothing happens, the supervisor only sends its heartbeat for this many ticks, and in the following tick it
-checks everything. Anything that happens rings a bell, so the supervisor then wakes up earlier."""
+"""While nothing happens, the supervisor only beats in this many ticks in a row, and checks everything in the next one.
+If something happens, it wakes up earlier, because everything that it must handle wakes its loop."""
 STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a new epoch with a stop. After this time, the supervisor writes the burst
 itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""If the supervisor was silent for this long, it could not see the other processes' beats in time, so it excuses their
-silence. The value is two ticks less than the shortest deadline of a process."""
+"""If the supervisor did not run for this long, it could not watch the other processes, so it excuses their silence. The
+value is two ticks less than the shortest deadline of a process."""
 CLIENT_SILENT_NS = 150_000_000
-"""A process that was silent for this long counts as held up by the machine. A healthy process beats at least ten times
-per second."""
+"""If the port owner, telemetry or the supervisor was silent for this long, the machine is probably holding it up, and
+the board's answers may be read late. A healthy process beats at least ten times per second."""
 HEAR_NS = 300_000_000
-"""At the end of the service, the supervisor writes a stop and waits this long for the board's answer. The ping that the
-board answers may be sent up to 50 ms after the stop (schedule.py)."""
+"""How long the supervisor waits, at most, for the board's answer to the first stop at the end of the service. The ping
+that the board answers may be sent up to 50 ms after that stop (schedule.py)."""
 END_S = 2.0
 """How long the supervisor waits, at most, for each process that it kills at the end of the service, s. Then it writes
 the last burst."""
@@ -206,9 +207,9 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """Check whether the machine has held up the supervisor itself. Nobody watched the other processes meanwhile, so
-        their silence is excused. Returns a list with one stop if motion was enabled and the supervisor was held up for
-        HANG_NS, otherwise an empty list. `suspended_ns`: how long a signal suspended the supervisor since its previous
+        """Check whether the supervisor itself did not run for a while. During that time it watched no other process, so
+        it excuses their silence. If it did not run for HANG_NS, and _motion() is True, return a list with one stop.
+        Otherwise return an empty list. `suspended_ns`: how long a signal suspended the supervisor since its previous
         turn; 0 if none did."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
@@ -304,8 +305,8 @@ class Supervisor:
         """True if motion is enabled in the current epoch, or if the port owner has written motion and no complete burst
         after it.
 
-        If you compare the result with another value, read the other value before you call this. The port owner first
-        publishes that it moves and then checks the epoch for the last time, so in this order no motion is missed.
+        If your decision also depends on another value, read that value before you call this. The port owner publishes
+        that it writes motion before it checks the epoch for the last time, so in this order no motion is missed.
         """
         self._barrier()
         if self._moving_word.get():
@@ -324,10 +325,10 @@ class Supervisor:
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """Handle the silence of a process as the table says. A process is starved if the machine merely does not run
-        it. It continues by itself, and a new process on the same machine would be starved too, so it is normally not
-        killed. But a starved port owner is killed while motion is enabled, because it could still write a frame after
-        the burst. While motion is disabled, the wheels are stopped already.
+        """Handle the silence of a process as the table says. A starved process is silent only because the machine does
+        not run it. Normally it is not killed, because it will continue by itself, and a new process would be starved
+        too. But a starved port owner is killed while motion is enabled, because it could still write a frame after the
+        burst. While motion is disabled, a starved process is only logged, because the wheels are stopped already.
 
             motion    starved port owner          other starved process       hanging process
             enabled   stopped, latched, killed    stopped, latched            stopped, latched, killed
@@ -372,8 +373,8 @@ class Supervisor:
         """End the service. The port owner writes a first stop, and the supervisor waits for the board's answer. Then it
         kills every process, and writes a second stop on its own descriptor.
 
-        Returns False if the second stop was not sent. Also returns False if the board did not answer the first stop,
-        except if the board has never answered or has no pings.
+        Returns True if the second stop was sent and the board has answered the first one. The answer is not needed if
+        the board has never answered or has no pings.
         """
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
@@ -405,7 +406,8 @@ class Supervisor:
         owner must still run to send pings, and telemetry must still run to read the answers.
 
         Returns how long the acknowledgement took, ns, or 0 if the board did not acknowledge the stop in time. The time
-        limit is HEAR_NS, or twice the echo time for a board without pings.
+        limit is HEAR_NS. For a board without pings, it is twice the time in which the board reports the commands that
+        it obeys (Board.echo_ns).
         """
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)

@@ -34,16 +34,16 @@ if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and n
 LOOK_NS = 5_000_000
 """How often the thread tries to open a lost port."""
 WATCH_S = 1.0
-"""How often to list the other devices on this computer while the board is connected, s. If the board is lost later,
-none of these devices can be the board."""
+"""While the board is connected, the other devices on this computer are listed this often, s. If the board is lost later
+and a device appears, it can't be the board if it is in this list."""
 DOUBT_S = 0.05
 """How often to look for the real board while the open device may be a different one, s."""
 SHARE_NS = 100_000_000
 """How often the supervisor sends the port's descriptor again to a process that could not receive it."""
 BUSY_S = 1.0
-"""How long to wait if processes of a dead run still have the port open, s."""
+"""How long to wait for another process to close the port, s. Processes of a dead run may still have it open."""
 UDEV_S = 2.0
-"""How long to wait for udev at boot, s. The device file may exist before udev lets users open it."""
+"""How long to wait at boot until udev lets users open the device file, s. The file may exist before that."""
 
 
 class OwnPort(StopPort):
@@ -62,8 +62,8 @@ class OwnPort(StopPort):
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
         """Open the board's port and write the burst, which is the first thing that a run writes. If another process
-        holds the port, this tries again for BUSY_S, and calls `held` before each new try. An error that `held` raises
-        ends the attempt. At boot, this also waits for udev. Raises port.PortError."""
+        holds the port, try again for BUSY_S, and call `held` before each new try; an error that `held` raises ends the
+        attempt. If udev does not let users open the device file yet, try again for UDEV_S. Raises port.PortError."""
         start_s = monotonic()
         while True:
             # Decide this before opening: otherwise udev could grant access between the refusal and this check.
@@ -99,7 +99,7 @@ class Opener:
 
     A board that is slow to wake up may need seconds until its port is open, and the supervisor's loop must not wait for
     it. The thread writes the burst itself, so the burst does not wait for the loop. After begin(), only the thread may
-    use `finder`; the loop may read only its `at`, `sure` and `settled`.
+    use `finder`, except that the loop may read `finder.at`, `finder.sure` and `finder.settled`.
 
     After a loss, the thread may open a device that is not the board, because it found no better one. So while a port is
     open, the thread keeps looking for the real board. If the board appears, the thread sets `misplaced` and rings the
@@ -131,8 +131,9 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """Return a port that the thread has opened, or None if there is no new one. Each port is returned once, as its
-        descriptor and the time in ns when the burst was written to it, or 0 if the burst could not be written."""
+        """Return the port that the thread has opened since the last call, as (its descriptor, the time in ns when the
+        burst was written to it). The time is 0 if the burst could not be written. Returns None if no port was
+        opened."""
         found, self._found = self._found, None
         return found
 
@@ -266,9 +267,9 @@ class PortHandover:
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Send the port's descriptor to each of the named processes, if the process was started. A process that is not
-        started yet inherits the port. If it were also sent the descriptor, this copy would stay open in the queue of
-        its socket."""
+        """Send the port's descriptor to each of the named processes that has been started. A process that is started
+        later inherits the port, and a descriptor that was sent to it before would stay open in the queue of its
+        socket."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:

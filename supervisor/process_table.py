@@ -22,10 +22,11 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""The status shows the longest silence of a starved process until no process was starved for this long."""
+"""The status shows the longest silence of a starved process, until this much time has passed since a process was last
+starved."""
 GATE_AGAIN_NS = 60_000_000_000
-"""A gate that has died too often is still started again after this time, because only the gate can receive a person's
-request for a reset."""
+"""A process that has died too often stays down until a reset. But the gate is started again after this time, because
+only the gate can receive a request for a reset."""
 
 
 class ProcessTable:
@@ -33,9 +34,9 @@ class ProcessTable:
     early (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Create the children, but do not start them. From now on the kernel reports the death of the calling thread,
-        which is the supervisor, through the supervisor's block of futexes. `advice`: what people can do if the machine
-        does not run a process."""
+        """Create the children, but do not start them. From now on, the kernel reports the death of the thread that
+        calls this through the supervisor's block of futexes. So only the supervisor's main thread may call it.
+        `advice`: what people can do if the machine does not run a process."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -111,8 +112,9 @@ class ProcessTable:
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """Start a thread for each process that now reports that it runs. The thread waits for the early report of the
-        process's death. The port owner's thread then also writes a stop at once."""
+        """For each process that has just reported that it runs, start a thread in the supervisor, which waits for the
+        early report of that process's death (shm/lifeline.py). The thread that waits for the death of the port owner
+        then also writes a stop at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)

@@ -6,8 +6,8 @@ A stop can reach these levels of proof:
     observed       the IMU, or the board's reports of its wheels, show that the wheels are still (unstill: they are not)
     logged         nothing more will become known about the stop, so its outcome is logged
 
-No level is ever concluded from another one. For example, the board may not answer although the IMU shows that the
-wheels came to rest.
+No level is ever concluded from another one. For example, a stop does not count as acknowledged because the IMU shows
+that the wheels came to rest.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ WHEELS_UNKNOWN = "unknown"
 WHEELS_UNSTILL = "unstill"  # they still move although they should not, and have not been seen still since the stop
 WHEELS_STILL = "still"
 PONG_NS = 20_000_000
-"""A ping that is younger than this may still be answered, so it does not show that the board is deaf. The ping after a
-stop and the following ping are further apart than this (schedule.py)."""
+"""A ping that is younger than this may still be answered, so it does not show that the board is deaf. Each ping gets
+older than this before the next one is written (schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
 """If the board has not acknowledged a stop after this time, the stop is logged as not acknowledged."""
 JUDGED_AFTER_NS = 800_000_000
@@ -44,14 +44,14 @@ JUDGED_AFTER_NS = 800_000_000
 stop's cause. This is longer than one window of IMU samples plus the time for which a verdict is held
 (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A verdict about the wheels that is older than this does not count. It means that the IMU or telemetry has gone
-silent."""
+"""A verdict about the wheels that is older than this does not count. A new one comes earlier, unless telemetry, the IMU
+or the board's reports have gone silent."""
 LEAST_NS = 1_000_000
 """The shortest time that is shown for wheels that came to rest after a stop. A time of 0 would mean that they were
 already still before the stop."""
 HEEDS_NS = 200_000_000
-"""A board that reports which commands it obeys must report motion within its echo time. If it still reports zero for
-this long after the echo time, the board counts as deaf."""
+"""A board that reports which commands it obeys must report motion within its echo time after motion was written. If it
+reports zero for this much longer, it counts as deaf."""
 LATE_LOOK_NS = 200_000_000
 """If the supervisor was held up, and first looks at the IMU's verdict this long after the stop's cause, it may have
 missed that the wheels were moving."""
@@ -63,7 +63,7 @@ class Proof:
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
         """`after_ns`: how long the wheels may take to come to rest. `unix_s`: the wall clock time at `now_ns`. `by`:
         (how the board acknowledges a stop, what observes the wheels), see interface.py. The time limits after which the
-        outcome is logged count from `now_ns`, because the stop's cause may be long ago."""
+        outcome is logged count from `now_ns`, not from the stop's cause, which may be long ago."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
@@ -106,9 +106,10 @@ class Proof:
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Record a verdict about the wheels, from the IMU or from the board's reports. Returns True if the wheels still
-        move after the time in which they should have come to rest. The caller must then write the stop again. If the
-        wheels keep moving, this returns True again after each further such period.
+        """Record a verdict about the wheels, from the IMU or from the board's reports. Returns True if the caller must
+        write the stop again, because the wheels still move when the time has passed in which they should have come to
+        rest (`after_ns` of the constructor). While the wheels keep moving, this is repeated each time the same time has
+        passed.
 
         `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
         0 if no verdict was made yet.
@@ -134,8 +135,8 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """Return True once, when the outcome of the stop must be logged because nothing more will become known about
-        it."""
+        """Return True if nothing more will become known about the stop, so that its outcome must be logged now. Returns
+        True only once."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -219,8 +220,8 @@ class Link:
         self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
         self._first = LINK_UNPROVEN if asked else LINK_UNASKED
         self._answers = self._first
-        """The state of the link as it follows from the board's answers and its reports about obeyed commands. It never
-        says that the board is silent."""
+        """The state of the link, judged only by the board's answers and its reports about obeyed commands. It is never
+        the state silent, which `_silent` records."""
         self._silent = self._by_echo = False
         self._heard = False
         """True if the board was heard in this run: it has answered a ping or, if it has no pings, has sent anything."""
@@ -235,8 +236,8 @@ class Link:
         """`_said_ns`: when the board last sent anything, or 0 if it has sent nothing since the port was opened.
         `_patience_ns`: how long the board may pause between two reports."""
         self._answered_ns = 0
-        """The board's time without an answer counts from this time. Normally the newest answered ping was sent at
-        this time. The time is later if the port was opened since, or if no answer could be read for a while."""
+        """The start of the board's time without an answer. Normally this is the time when the newest answered ping was
+        sent. It is later if the port was opened after that, or if no answer could be read for a while."""
         self._asked_ns = 0
         """When the first ping that the board has not answered was sent; 0 if no ping waits for an answer."""
         self._missed = False
@@ -255,9 +256,9 @@ class Link:
     def forbids(self) -> bool:
         """True if motion must not be enabled, because the board was heard in this run and is not heard now.
 
-        A device that was never heard does not prevent motion, because some boards send nothing by design. If the board
-        obeyed zero although motion was written, a stop is latched. After the reset, only new motion can show whether
-        the board hears again, so this does not prevent motion either.
+        A device that was never heard does not prevent motion, because some boards send nothing by design. A board that
+        is deaf because it obeyed zero although motion was written does not prevent motion either: this has latched a
+        stop, and after the reset only new motion can show whether the board hears again.
         """
         known = self._answers == LINK_DEAF and not self._by_echo
         return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
@@ -290,8 +291,8 @@ class Link:
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
         """True if the board has seemed silent since `since_ns`, but perhaps only because the machine held up the
-        service. The silence is then measured again from `now_ns`, but motion is stopped. After LONGEST_NS, a silence is
-        not excused any more."""
+        service. The silence is then measured again from `now_ns`, and pop_unheard() returns its length, so that the
+        tracker stops the robot if it may move. After LONGEST_NS, a silence is not excused any more."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -328,8 +329,8 @@ class Link:
 
     def check_echo(self, unheeded_ns: int) -> None:
         """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: when the first
-        of these reports came; 0 if there is no such report. A pause in the reports does not make the board deaf,
-        because only the time up to the board's newest report counts."""
+        of these reports came; 0 if there is no such report. The board counts as deaf if its newest report came long
+        enough after the first one. So a pause in the reports does not make it deaf."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 

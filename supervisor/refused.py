@@ -21,7 +21,8 @@ FIRST_USERS = ["0", "0", "4294967295"]
 capabilities allow real-time priority."""
 RUNTIME = "cpu.rt_runtime_us"
 RUNTIME_US = 950000
-"""The real-time share that the root group usually has, in us. The advice suggests the same share for other groups."""
+"""How long the real-time processes of the root group may usually run in each second, in us. The advice suggests the
+same for other groups."""
 
 ALLOWED = "its limits allow real-time priority, but"
 NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
@@ -38,9 +39,9 @@ FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its uni
 
 
 def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
-    """Why the kernel refused a process real-time priority, and what helps. The text is empty if the process's own
-    limits and capabilities don't allow real-time priority, because then they are the reason. `unit`: the systemd unit
-    that starts the process. Never raises."""
+    """Why the kernel refused a process real-time priority although its limits or capabilities allow it, and what helps.
+    The text is empty if neither of them allows it, because then they are the reason. `unit`: the systemd unit that
+    starts the process. Never raises."""
     if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
         return ""
     for line in _lines(f"{PROC}/{pid}/cgroup"):

@@ -5,9 +5,9 @@ last and removed first. So if the name exists, everything that belongs to the ru
 
 Someone may remove the names of the shared memory and the pipes while the service runs. For example, if logind.conf has
 RemoveIPC=yes, logind removes the names of the shared memory when the service's user logs out. A process that has
-already attached to the shared memory can still use it. But no process can be started any more, no client can connect,
-and nobody can request a stop without the stop pipe. A running service can't repair this, so it ends, and the next run
-creates new names.
+already attached to the shared memory can still use it. But the service can't restart a process any more, no client can
+connect, and without the stop pipe nobody can request a stop. A running service can't repair this, so it ends, and the
+next run creates new names.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ GROUP = "failstop"
 """The group whose members may drive the robot. Any user may stop the robot, even without this group."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""The text with which the name of every client slot begins. If one of these names is removed, the service can still go
-on."""
+"""In `Run.named`, the key of each client slot begins with this text. If the name of a client slot is removed, the
+service can still go on."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
     """The id of the group whose members may drive. Returns -1 if the group does not exist, or if this user may not use
-    it. The members of the service's own group may then drive."""
+    it. In that case, the members of the group under which the service runs may drive."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -70,8 +70,8 @@ class Run:
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """The descriptors of an earlier run's black box, if that run did not end cleanly. Its names are removed when
-        this run has published its own name."""
+        """The descriptors of an earlier run's black box, if that run did not end cleanly. The names of the earlier
+        run's shared memory are removed when this run has published its own name."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
         """The descriptors of the processes' segments, for the black box. They work even after the names of the segments
@@ -133,8 +133,8 @@ class Run:
 
     def publish(self, stop: str = "") -> None:
         """Publish the run's name, so that clients can find the run. Call this when everything that clients read exists.
-        It also saves how the run was started, and the board's stop, for the time when the service is not running
-        (board/kept.py). `stop`: the board's stop, packed. Raises OSError."""
+        It also saves the command line that starts the same service again, and what a command needs to stop the robot
+        while no service is running. `stop`: the board's stop, as board/kept.py packs it. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))

@@ -2,8 +2,8 @@
 process gets.
 
 Processes start with the options `-I -S`, so without Python's site module. In a small process, the site module would
-take longer than all other imports together. Without it, Python does not find every package, so processes get the search
-path in an environment variable.
+take longer than all other imports together. Without the site module, Python does not find every package, so processes
+get the search path in an environment variable.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from failstop.supervisor.bootstrap import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""Environment variables for the C library. With MALLOC_ARENA_MAX=1, all threads share one heap. Otherwise, the first
-job of a thread would create a second heap of 200 kB, perhaps minutes after the start."""
+"""Environment variables for the C library. With MALLOC_ARENA_MAX=1, all threads share one heap. Otherwise, a thread
+that allocates memory for the first time, perhaps minutes after the start, would create a second heap of 200 kB."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Environment variables that every process gets. They say where the runtime directory and telemetry's files are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""Environment variables that the service manager sets. Only the supervisor gets them, because no other process may
-notify the service manager."""
+"""Environment variables that the service manager sets. Only the supervisor gets them, because only the supervisor
+notifies the service manager and sends events to the journal."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
@@ -55,16 +55,16 @@ def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int
 
 
 def reap(pid: int, options: int = os.WNOHANG) -> int | None:
-    """Reap a child, and return its exit code, negative if a signal killed it. Returns None if it can't be reaped
-    yet."""
+    """Reap a child, and return its exit code. If a signal killed the child, return the negative number of the signal.
+    Returns None if the child can't be reaped yet."""
     found, status = os.waitpid(pid, options)
     return os.waitstatus_to_exitcode(status) if found else None
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. The
-    supervisor is a new program without the imports of the command line, because they would make it twice as large.
-    `again`: the command line with which the same service can be started again. Raises OSError."""
+    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. It
+    begins as a new program, because the modules that the command line has imported would make the supervisor twice as
+    large. `again`: the command line with which the same service can be started again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

@@ -54,21 +54,20 @@ to write the stop many times: the first time 5 ms after the cause, and then ever
 WAITED_NS = 2_000_000_000
 """If motion can't be enabled for this long, the reason is logged. A restart of a process takes much less time."""
 NOTIFY_EVERY_NS = 100_000_000
-"""The shortest time between two datagrams with a status line. While someone drives, the gate's part of the line changes
-at every tick."""
+"""The shortest time between two datagrams for the service manager, because the status line may change often while
+someone drives."""
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
 LEASE_WITHOUT_S = 0.2
 """The lease of a service without real-time rights, s, if the user has not chosen a lease.
 
-The lease must be shorter than 0.25 s. After 0.25 s the stopper notices that the port owner hangs, and the supervisor
-notices that the gate hangs. With a shorter lease, the processes react to a hang in the same order as with real-time
-rights.
+This is shorter than 0.25 s, the time after which the stopper notices that the port owner hangs, and the supervisor
+notices that the gate hangs. So if a process hangs, the others react in the same order as with real-time rights.
 """
 OF_A_TIMEOUT = 0.9
-"""The lease is at most this fraction of the shortest command timeout, because a timeout must be longer than the
-lease."""
+"""A lease that failstop chooses without real-time rights is at most this fraction of the shortest command timeout,
+because every timeout must be longer than the lease."""
 
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
@@ -151,8 +150,8 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """If motion can't be enabled for a long time, log the reason, and log when motion can be enabled again.
-        `missing`: the reason, or empty. Call this once per turn."""
+        """Log the reason once motion could not be enabled for WAITED_NS. After that, log once that motion can be
+        enabled again. `missing`: the reason, or empty. Call this once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -197,8 +196,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """A text which says that the wheels turn although zero is commanded. Empty if they don't turn, or if nothing new is
-    known about them. `entry`: telemetry's record about the wheels. Pure."""
+    """A text which says that the wheels turn although zero is commanded. Empty if they don't, or if their newest
+    reading is too old. `entry`: telemetry's record about the wheels. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])

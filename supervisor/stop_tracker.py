@@ -84,14 +84,15 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """Why motion was stopped because of the link, or empty. It is cleared when motion has ended or the link is good
-        again."""
+        """The name of the cause for which the robot was stopped because the link was bad, or empty. It becomes empty
+        again when motion has ended, or when the link is good."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
         """The causes that have been logged since the latched stop was latched."""
 
     def latched(self, stop: Stop) -> None:
-        """Record that a stop was latched. From now on, each other cause is logged again when it occurs."""
+        """Record that a stop was latched. Each other cause that occurs from now on is logged once, even if it was
+        logged before this stop."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
@@ -149,8 +150,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Begin to track the proof of this stop. Does nothing if the tracked stop was written and no reset has come
-        since, because people still look at that stop."""
+        """Begin to track the proof of this stop. Does nothing if an earlier stop is tracked that was written, and no
+        reset has come since, because people still look at the earlier stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -235,9 +236,9 @@ class StopTracker:
             self._publish(last)
 
     def _read_answer(self) -> None:
-        """Read from telemetry which of the written bytes the board has handled (board/handled.py). An answered ping
-        proves only that the link works. A stop is acknowledged only by the record `proved`, because some boards must
-        also report that they obey zeros."""
+        """Read from telemetry which of the written bytes the board has handled (board/handled.py). The record
+        `answered` is about pings and proves only that the link works. Only the record `proved` acknowledges a stop,
+        because some boards must also report that they obey zeros."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -253,8 +254,8 @@ class StopTracker:
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after the stop `last` although they should be still, so the stop must be
-        written again. A reset ends this, because a person has taken over."""
+        """True if the wheels still move after the stop `last` although they should be still, so that the stop must be
+        written again. After a reset this is always False, because a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -278,9 +279,9 @@ class StopTracker:
         return unstill
 
     def _run_command(self) -> None:
-        """Run the user's command (still.command) because the wheels still move after a stop. The command normally runs
-        once per stop. After the wheels were seen still, or after a reset, it may run again. If a command from an
-        earlier stop is still running, it hangs, so it is killed first."""
+        """Run the user's command (still.command) because the wheels still move after a stop. After that, the caller
+        runs it again only if the wheels were seen still in between, or after a reset. A command that is still running
+        since an earlier stop counts as hanging and is killed first."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)

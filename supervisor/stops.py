@@ -28,14 +28,15 @@ The row depends on what is known about the burst, as the comments at the rows sa
 it may still answer the new epoch with a stop, or it has answered, or it is late or dead.
 """
 SOONER_NS = 20_000_000
-"""The port owner may notice a cause earlier than the other process that reports it. So a burst that the port owner
-wrote up to this long before the report counts as the stop for this cause. An older burst does not count."""
+"""If another process reports a cause, the port owner may have noticed the same cause a little earlier. So if the port
+owner wrote a burst at most this long before the other process noticed the cause, this burst counts as the stop for the
+cause."""
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """Return a cause that names the suspension if the cause is only that the supervisor was silent, and a signal had
-    suspended it. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was suspended; 0 if it
-    was not."""
+    """If the cause is only that the supervisor was silent, and a signal had suspended the supervisor, return a cause
+    that names the suspension. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was
+    suspended; 0 if it was not."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
