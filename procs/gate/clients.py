@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from typing import Any
 
 News = tuple["Slot", str, tuple[object, ...]]
-"""Something new from a client: its slot, the name of a record, and the record's time (ns) and values. If the client's
-session has ended, the name is OVER instead."""
+"""Something new from a client: (its slot, the name of a record, a tuple of the record's time in ns and its values). If
+the client's session has ended: (its slot, OVER, a tuple whose only value is True if the session said goodbye)."""
 OVER = "gone"
-"""Used instead of a record's name when a session has ended. The value is True if the session said goodbye."""
+"""Stands in News instead of the name of a record if the client's session has ended."""
 ONCE = ("command", "request", "arm_goal", "aux")
 """The records that the gate acts on only once. It reads the other records at every look, even if they have not
 changed."""
@@ -150,15 +150,16 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """Return the slots to look at when the client bell rings. Each byte in `hints` names a slot; a byte that is not
-        a slot's number means all slots."""
+        """Return the slots to look at because the client bell has rung. `hints`: the bytes that the clients have
+        written into the bell. Each byte is the number of a slot. If any byte is not, return all slots."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these slots, and yield what is new in them. Call this for active slots once per tick, because a ring
-        may be lost and a claim may end. Call it for all slots now and then, in case a new client's ring was lost."""
+        """Look at these slots, and yield what is new in them. This also notices claims that have ended. Call it once
+        per tick for the active slots, and now and then for all slots, because a client's ring of the bell may be lost,
+        even the first ring of a new client."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
@@ -169,15 +170,15 @@ class ClientTable:
                 yield slot, "command", values
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
-        """Drop each client whose lifeline reports its death. It is dropped even if the kernel is still freeing its
-        memory, or if a process that it forked still holds the claim."""
+        """Drop each client whose lifeline reports its death, even if the kernel is still freeing the client's memory,
+        or if a process that the client forked still holds its claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
-        """Watch the client's process for death. If neither its pid nor its futex can be watched, its death is noticed
-        only when its claim ends, which is checked once per tick."""
+        """Watch the client's process through its pid and its futex, so that its death is noticed at once. If neither
+        can be watched, its death is noticed at the tick after its claim has ended."""
         # If the client runs in a container, its pid means nothing here, or a different process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:

@@ -9,8 +9,8 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import MS
 
 AHEAD_NS = 20 * MS
-"""How far in the future a time stamp may be. A turn may read a record that was written after the turn began, so a short
-time is normal. A stamp that is further ahead comes from another machine's clock, and would count for too long."""
+"""How far ahead of the turn's time a time stamp may be. A record that was written after the turn began is a little
+ahead. A stamp that is further ahead comes from another machine's clock, and would count for too long."""
 NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
 DEPARTED = "left"
 
@@ -23,8 +23,8 @@ def believed_ns(t_ns: int, now_ns: int) -> int:
 
 class ScanGate:
     """Lets programs move the wheels only while the obstacle sensor delivers scans. People who drive by hand don't need
-    the sensor. A silent sensor latches nothing. When the sensor delivers scans again, motion resumes by itself,
-    starting from zero."""
+    the sensor. If the sensor falls silent, the wheels stop, but nothing is latched. If the sensor delivers scans again,
+    the wheels start again from zero by themselves."""
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
@@ -46,9 +46,9 @@ class ScanGate:
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
         """Return a note for people if the sensor's silence has just begun to block the wheels, or if the sensor is
-        back; otherwise None. The note includes the age of the last scan. While the sensor is silent, it is not
-        reported as back, whatever else blocks the wheels. `blocks`: True if the wheels are blocked by the sensor's
-        silence."""
+        back; otherwise None. The note includes the age of the last scan. `blocks`: True if the wheels are blocked by
+        the sensor's silence. If this becomes False only because something else blocks the wheels first, the silent
+        sensor is not reported as back."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -124,7 +124,7 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """Return the time when no operator will count as present any more, unless a new proof arrives earlier."""
+        """Return the time from which no operator counts as present any more, unless a new proof arrives before."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:

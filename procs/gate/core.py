@@ -4,11 +4,12 @@ texts are results.
 While the wheels are blocked, the reason is the first of these that applies:
     estop: REASON     a stop is latched; only a reset ends it
     disabled          motion is disabled until somebody enables it
-    let go first      a source has commanded a velocity since before motion was enabled
-    cmd timeout       no source has a command that is younger than its timeout
+    let go first      no source drives, and one has commanded a velocity since before motion was enabled
+    cmd timeout       no source drives, because none has a command that is younger than its timeout
     no scan           the source that drives is not manual, and the obstacle sensor is silent
-While they are blocked, the velocity is set to zero at once, without a ramp. Otherwise it moves toward the clamped
-command by at most the acceleration times the elapsed time. Even after a late tick, at most two periods count.
+While the wheels are blocked, the velocity is set to zero at once, without a ramp. Otherwise it moves toward the
+command, which is clamped to the limits. Each step changes it by at most the acceleration times the time since the
+previous step. Of this time, at most two periods count.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ know why."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""The most commands from unknown sources that one gate process logs."""
+"""For how many sessions and sources, at most, one gate process logs that a command was ignored."""
 
 
 class GateCore:
@@ -77,15 +78,15 @@ class GateCore:
         """How the speed is limited while nobody has confirmed the scale of the board's speeds, in words. Empty if the
         scale is confirmed."""
         self.notes: list[Note] = []
-        """Notes for people, in order. The gate's loop passes them on and empties this list."""
+        """Notes for people, oldest first. The gate's loop passes them on to the supervisor and empties this list."""
         self._losses = DriverLosses(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
         self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
         """The last command of each session that has sent one. If such a session dies, that counts as the death of a
-        driver, even if its source only waits or has fallen silent. The reason is that its program would drive again
-        after a restart."""
+        driver, even if its source only waits or has fallen silent, because its program would drive again after a
+        restart."""
         self._movers: set[int] = set()
         """The sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
@@ -128,9 +129,10 @@ class GateCore:
         return min(ends_ns)
 
     def accept(self, command: Command, now_ns: int) -> Cause | None:
-        """Accept a new command. Returns the cause to stop for if its values are not finite, or if two programs publish
-        for one source; otherwise None. A time stamp from the future counts as now. A command is noted and ignored if
-        its source is not in the settings, or if a client commands as the gamepad."""
+        """Accept a new command. If its values are not finite, or if another program publishes for the same source,
+        return the cause to stop for. If its source is not in the settings, or if a client uses the gamepad's source,
+        ignore the command and note that. Returns None if there is no cause to stop. A time stamp from the future counts
+        as now."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -156,9 +158,10 @@ class GateCore:
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
-        """Drop the commands of a client that has gone, and add a note if it drove. If a driver has died, motion is
-        disabled, or the cause to stop for is returned, depending on the setting gate.driver_death. `parted`: True if
-        the client said goodbye."""
+        """Drop the commands of a client that has gone. If it had sent a command and has died while motion is enabled,
+        the setting gate.driver_death decides what happens: motion stays enabled, or it is disabled and a note is added,
+        or the cause to stop for is returned. If motion stays enabled, or if the client said goodbye (`parted`), a note
+        is added if the client's command was turning the wheels."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -244,8 +247,8 @@ class GateCore:
         return self._may_move(self.sources.hold(now_ns), now_ns)
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
-        """Return the reply to a client after motion was enabled. It names the programs that already command motion,
-        because they may move the robot next."""
+        """Return the reply to the client that has enabled motion. The reply names the held programs (`held`) and those
+        that commanded motion a moment ago, because they may move the robot next."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
@@ -317,9 +320,9 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """Return a text that says how to go on if a held program never sends zero. `held`: the programs whose commands
-    don't count until they send zero or pause. The text is empty for the gamepad, because a person can let go of its
-    stick."""
+    """Return a text that says what a person can do if a held program never sends zero. `held`: the programs whose
+    commands don't count until they send zero or pause. The text is empty if one of them is the gamepad, because a
+    person can let go of its stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

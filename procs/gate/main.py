@@ -1,5 +1,6 @@
-"""The gate's loop. It handles everything new from clients and from the supervisor, makes a tick every period, and puts
-frames into the ring for the port owner."""
+"""The gate's loop. It handles everything new from clients, telemetry and the supervisor, and puts frames into the ring
+for the port owner. Once per period (gate.period_s) it makes a tick: it looks at the clients and advances the
+velocity."""
 
 from __future__ import annotations
 
@@ -36,9 +37,9 @@ if TYPE_CHECKING:
     from typing import Any
 
 PUBLISH_NS = 75_000_000
-"""The state is published when it changes, and also when it is this old, so that it comes at 10 Hz or faster. Its age is
-checked at each tick. With 100 ms, a tick that comes a little early would find the state slightly too young. The state
-would then be published one tick later, and every other state would come after 120 ms (measured)."""
+"""The state is published when it changes, and also when it is this old, so that it comes at 10 Hz or faster. With 100
+ms here, a tick that comes a little early would find the state slightly too young. Only the next tick would publish it,
+so every other state would come after 120 ms (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
@@ -178,8 +179,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """Return True if one tick in two periods is enough. This works because a client rings a bell when it joins or
-        wants something new, and because the kernel reports a client's death at once."""
+        """Return True if one tick in two periods is enough. The gate then misses nothing, because a client rings a bell
+        when it joins or wants something new, and because the kernel reports a client's death at once."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -222,7 +223,8 @@ class Gate:
                 self._client_gone(now_ns, slot, *values)
 
     def _forward_aux(self, now_ns: int, _written_ns: int, frame: bytes) -> None:
-        """Pass a client's frame that is not motion to the port owner, which decides whether it may be written."""
+        """Pass on a client's frame that does not move the wheels, for example for the buzzer. The port owner decides
+        whether it may be written."""
         if now_ns - self._aux_ns >= AUX_EVERY_NS:
             self._aux_ns = now_ns
             self._frames.put(records.OTHER, frame, now_ns)
@@ -258,8 +260,8 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """Stop if the supervisor is silent while motion is enabled. The port owner admits no motion then, so the gate
-        must not show that motion is enabled."""
+        """Stop if motion is enabled and the supervisor has been silent for longer than the lease. The port owner then
+        admits no motion, so the gate must not show that motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
@@ -343,7 +345,8 @@ class Gate:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
     def _missing(self) -> str:
-        """Return what motion still waits for, in words, or an empty text if nothing is missing."""
+        """Return a text that says why motion can't be enabled yet, for example because a process is not up. Empty if
+        the service is ready."""
         if self._ready_word.get():
             return ""
         link = self._link.read()
@@ -352,17 +355,17 @@ class Gate:
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
-        """Enable motion, if nothing forbids it. If the robot's arm must be folded first, it goes to its drive pose, and
-        the reply comes later."""
+        """Enable motion, if nothing forbids it. If the arm has a drive pose, send it there first. In that case this
+        returns a reply about the progress, and the final reply comes when the arm is there."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
         return way or self._allow_motion(now_ns)
 
     def _allow_motion(self, now_ns: int) -> Reply:
-        """Enable motion. First read all new commands, because the gate normally reads a client's requests before its
-        commands. So a program that is already commanding motion can't drive off: its commands don't count until it
-        sends zero or pauses."""
+        """Enable motion, but read all new commands before that, although normally the gate reads a client's requests
+        first. So a program that is already commanding motion is known and can't drive off: its commands don't count
+        until it sends zero or pauses."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
@@ -415,7 +418,8 @@ class Gate:
             self._stop(self.arm.goal(slot, t_ns, mode, values, self.core.arm_closed(), now_ns), now_ns)
 
     def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
-        """Handle a client that has left or died. If it drove, the wheels stop at once."""
+        """Handle a client that has left or died. If its command was moving the wheels, they stop at once, or follow
+        another source."""
         self.core.attendance.leave(slot.session)
         if parted:
             self._said.part(slot.session)
@@ -430,8 +434,9 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and when it is PUBLISH_NS old. The time of the last scan does
-        not count. It changes at every tick, and each time every reader would have to unpack the whole state."""
+        """Publish the state when it has changed, and when it is PUBLISH_NS old. A new time of the last scan does not
+        count as a change. That time changes at every tick, and every reader would have to unpack the whole state each
+        time."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

@@ -29,8 +29,8 @@ EVERY_NS = 200_000_000
 """The shortest time between two notes about requests, once MOST_AT_ONCE notes were made. So a client that repeats a
 request endlessly causes five notes per second, not a thousand."""
 AGES = ("ms", "s", "min", "h", "day", "days")
-"""The units of time in a client's report, as words.span writes them. A regular expression is not used, because
-importing `re` would slow each start of the gate."""
+"""The units of the times in a client's report, as words.span writes them. _ageless() finds the times without a regular
+expression, because importing `re` would slow each start of the gate."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
 """The shortest time between two notes about drivers that fell silent. It is long because a program that commands less
@@ -66,7 +66,7 @@ class Budget:
         self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
-        """How many notes were left out since the last note was made."""
+        """How many notes were left out since this was last reported. The caller sets it to 0 again."""
 
     def spend(self, now_ns: int) -> bool:
         """Return True if one more note may be made now."""
@@ -98,8 +98,9 @@ def disabled_by_silence(driver: Command, now_ns: int) -> Note:
 
 
 class DriverLosses:
-    """Makes notes about drivers that stopped driving, if the gate then commands zero but latches nothing. Driving by
-    hand has a separate budget, so a person's pauses can't hide a failing program."""
+    """Makes notes about drivers that stopped driving, for the case that the gate then only commands zero. Drivers that
+    ended normally, such as people who let go of a key, have a separate budget. So their notes can't use up the budget
+    for notes about failing programs."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
@@ -140,7 +141,7 @@ class SelfReports:
 
     def part(self, session: int) -> None:
         """Record that a session has said goodbye, so that update() does not report its program as gone. The program may
-        still run. For example, the guard gives up its slot when a driver needs a slot, but the guard goes on."""
+        still run. For example, the guard ends its session to free a slot for a driver, but goes on running."""
         self._parted.add(session)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
@@ -161,8 +162,8 @@ class SelfReports:
 
 
 def _ageless(text: str) -> list[str]:
-    """Return the words of a text without its times such as "3 s". If only the times have changed, the report has just
-    become older, and noting it again would fill the log."""
+    """Return the words of a report, but leave out times such as "3 s". If only these have changed, the report has
+    merely become older, and another note about it would fill the log."""
     kept: list[str] = []
     for word in text.split(" "):
         if kept and word.rstrip(";,.") in AGES and kept[-1].replace(".", "", 1).isdecimal():

@@ -1,5 +1,5 @@
-"""Requests of clients. Resets go to the supervisor one at a time. A request that could start motion is refused if,
-after it was made, somebody has requested a stop, a disable or a hold."""
+"""Requests of clients. Resets go to the supervisor one at a time. A request that could start motion is refused if a
+stop, a disable or a hold of the arm came after the request was made."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ class Requests:
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
         """Check whether a request came too late. Returns the refusal, or None if the request may be carried out. A
         request that could start motion is refused if motion was stopped since it was made, or if a later request
-        replaced it. Any request is refused if its client had given up waiting before this gate started. A reset is
-        refused if the person who requests it has not seen the newest stop.
+        replaced it. Any request is refused if its client had already given up waiting for the reply when this gate
+        started. A reset is refused if the person who requests it has not seen the newest stop.
 
         `stopped_ns` and `last`: when the last stop was, and its cause.
         """
@@ -108,8 +108,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Reply to a client at the next write(). If a later request of the same session was answered already, this
-        reply is dropped, because a slot has room for only one."""
+        """Queue a reply, which write() sends to the client. But if a later request of the same session was answered
+        already, drop this reply, because a slot has room for only one."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -118,9 +118,8 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the replies. Before this call, the caller must publish the state that results from the requests. Each
-        reply is written behind a memory barrier (cell.py), so a client that has read a reply never reads an older
-        state."""
+        """Write the queued replies. The caller must have published the state that results from the requests. Each reply
+        is written behind a memory barrier (cell.py), so a client that has read its reply never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
@@ -136,8 +135,8 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
-        """Queue a reset. It is passed to the supervisor when all earlier resets are decided. If a client requests
-        several resets, only its newest reset stays in the queue."""
+        """Queue a reset. It is passed to the supervisor when all earlier resets are decided. If several resets of one
+        client wait for that, only the newest of them is kept."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -150,14 +149,16 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """Return True if the supervisor has decided a reset since the last call. Read the latch after this call, not
-        before it. The latch is then at least as new as the decision, because the supervisor writes the decision behind
-        a barrier."""
+        """Return True if the supervisor has decided a reset since the last call. Read the latch only after this call.
+        Because the supervisor writes the latch, then a memory barrier, and then the decision, the latch that you read
+        is at least as new as the decision."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """Pass the supervisor's decision to the client. The client may have made its request to an earlier gate."""
+        """If the supervisor has decided the first reset in the queue, pass its decision to the client. A decision about
+        a reset that an earlier gate has passed on is ignored, because this gate passes the client's request on once
+        more."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return

@@ -27,12 +27,13 @@ class Rest:
         return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """Record that a tick begins. A missed tick is not made up for."""
+        """Record that a tick begins. If ticks were missed, the next ones do not come faster to make up for them."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:
-        """Plan the next tick. Call this at the end of each turn. The next tick comes one period after the last tick, or
-        two periods if the gate `rests` or is late. `busy`: True if something could move, or a client is present."""
+        """Plan the next tick. Call this at the end of each turn. The next tick comes one period after the last one, or
+        two periods if the gate is late or `rests` is True. `rests`: True if one tick in two periods is enough. `busy`:
+        True if something could move, or if a client is present."""
         if busy != bool(self._word.get()):
             self._word.set(busy)
             self._bell.ring()

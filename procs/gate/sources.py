@@ -1,13 +1,13 @@
 """Sources: which programs may command motion, and which of them has priority. Pure.
 
 Each source has a name, a priority and a timeout in the settings. Among the sources that have a fresh command, the one
-with the highest priority drives. A source with a higher priority takes over at once. When the higher source has been
-silent for its timeout, the lower source gets the wheels back, and its velocity starts from zero along the ramp. The
-gamepad in its drive mode is a source that has priority over all others. No setting and no client can use its name.
+with the highest priority drives. A source with a higher priority takes over at once. When it has then been silent for
+its timeout, the source with the lower priority gets the wheels back, and the velocity starts from zero along the ramp.
+The gamepad in its drive mode is a source that has priority over all others. No setting and no client can use its name.
 
-Enabling motion moves nothing. A source that commands a velocity at that moment is held until it has sent zero or was
-silent for its timeout. So a stick that is still pushed, or a program that never stopped commanding, does not drive the
-robot off, no matter how motion was enabled.
+Enabling motion moves nothing. A source that commands a velocity at that moment is held: its commands don't count until
+it has sent zero or was silent for its timeout. So a stick that is still pushed, or a program that never stopped
+commanding, does not drive the robot off, no matter how motion was enabled.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class Sources:
     """Keeps the last command of each source, and chooses which source drives."""
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
-        """`declared`: for each source's name, its priority and its timeout in ns, the highest priority first."""
+        """`declared`: the sources as {name: (priority, timeout in ns)}, the highest priority first."""
         rows = {PAD_SOURCE: (PAD_PRIORITY, pad_timeout_ns), **declared}
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._held: dict[str, str] = {}
-        """The name of the program for each source that is held."""
+        """The sources that are held, each with the name of its program."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
@@ -82,8 +82,8 @@ class Sources:
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """Keep a source's new command. A time stamp from the future counts as now. If the source is held, it is
-        released when it sends zero or has paused."""
+        """Keep a source's new command. A time stamp from the future counts as now. If the source is held, this command
+        releases it if the command is zero, or if the source had paused before it."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)
@@ -110,9 +110,9 @@ class Sources:
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
         """Return the programs that commanded motion a short time ago, but whose last command is no longer fresh. Each
-        comes with the age of that command, ns. Programs that a person drives by hand are left out. A program that
-        commands less often than its timeout can appear here. Such a program is not held, because each of its pauses
-        would release it."""
+        comes with the age of that command, ns. Programs that a person drives by hand are left out. For example, this
+        returns a program that commands less often than its timeout. Holding such a program would be useless, because
+        each of its pauses would release it."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -155,8 +155,8 @@ class Sources:
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
         """Return a table of the sources for people, the highest priority first. Every source with a fresh command has a
-        row, even while it is held. The source that drove last also has a row if it fell silent while the wheels
-        turned."""
+        row, even while it is held. The source that drove last also has a row if it fell silent after commanding a
+        velocity, unless a person drove it by hand."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

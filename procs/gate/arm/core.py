@@ -1,11 +1,11 @@
 """The gate's decisions about the arm. Pure: the time and everything that has happened are arguments; frames for the
 servos and texts are results.
 
-The arm moves only while motion of the wheels is disabled and no stop is latched. If the board can move arm and wheels
-together, the arm may also move while motion is enabled. A stop takes the arm from the client that moves it, and so does
-an enable. A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that lasts
-about one period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a few
-servos. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
+While a stop is latched, the arm does not move. While motion of the wheels is enabled, it moves only if the board can
+move arm and wheels together. A stop takes the arm from the client that moves it, and normally an enable does so too
+(see Arm.enable()). A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that
+lasts about one period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a
+few servos. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ STEPS_APART_NS = 1_000_000
 """The shortest time between two calls of step(). Without this pause, an arm that has more work to do would keep the
 gate awake all the time."""
 NEAR = 0.5
-"""How close each joint must be to its last position before a trajectory counts as finished, in pulses. A frame has
-whole pulses, so it can't bring a joint closer."""
+"""A trajectory has sent its last move when the commanded position of each joint is this close to the joint's end
+position, in pulses. Frames contain whole pulses, so they can't bring a joint closer."""
 LOST_NS = 2_000_000_000
 """A trajectory that takes this much longer than planned has failed."""
 FIND_NS = 4_000_000_000
@@ -54,15 +54,16 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """The sessions that still send goals although a stop or an enable has ended their stream, each with the time of
-        its last goal."""
+        """The sessions whose stream of goals was ended or refused, for example by a stop, each with the time of its
+        last goal. Their goals count again after a pause."""
         self._torque_ns = 0
         """The time when the servos' bus is free again after the last torque command."""
         self.due_ns = now_ns
-        """The time when step() must be called next, even if nothing happens before. Each call sets a later time."""
+        """The time when step() must be called next, even if nothing happens before. Each call of step() sets a later
+        time."""
         self._left: dict[Joint, float] = {}
-        """The last goal of each servo that goes on to its goal even after a stop (ServoBus.holds_by_goal). It is kept
-        until the servo is known to have arrived."""
+        """On a bus whose servos go on to their last goal even after a stop (ServoBus.holds_by_goal): the last goal of
+        each joint of an ended stream, until the joint has arrived or has got a new goal."""
         self.letting_go: list[Joint] = []
         """The joints whose torque must still be switched off."""
         self.active_ns = 0
@@ -83,8 +84,8 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Return the name of a client whose goal or trajectory counts at the moment. The client with the session
-        `session` is left out. Empty if there is no such client."""
+        """Return the name of a client, other than the one with the session `session`, whose goal or trajectory counts
+        at the moment. Empty if there is no such client."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
@@ -162,10 +163,10 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Forget all goals, like drop(), but for a caller that writes a stop in any case. The stop also ends a move
-        that still runs after its goal was forgotten. If the arm follows a stream of goals, that stream ends, and its
-        goals count again only after a pause. A stream of the session `but` may continue without a pause. If the torque
-        of some servos was about to be switched off, it stays on."""
+        """Forget all goals, like drop(). The caller must write a stop in any case, because a servo may still complete a
+        move whose goal was forgotten earlier. If the arm follows a stream of goals, its goals count again only after a
+        pause, unless they come from the session `but`. If release() has not switched off the torque of every servo yet,
+        the remaining servos keep their torque."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -228,9 +229,9 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """Return a frame that stops the joints which have not reached the last goals of an ended stream. The frame
-        commands each of these joints to its measured position. If one frame has no room for all of them, the next calls
-        return the rest before any servo is read, because nothing can be read while a joint moves."""
+        """If joints have not reached the last goals of an ended stream, return a frame that stops them, by commanding
+        each of them to its measured position. Otherwise return an empty frame. If one frame has no room for all joints,
+        the next calls return the rest before any servo is read, because nothing can be read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -343,8 +344,8 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Give each of these joints a move in every period from now on. If there is a trajectory that can't begin at
-        their present positions, it fails instead."""
+        """Give each of these joints a move in every period from now on. But if the arm has a trajectory that can't
+        begin at their present positions, end the trajectory as failed, and move nothing."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -354,8 +355,9 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """Return the moves that are due, as (frame, hold) like step(). If the arm would hit something, a trajectory
-        ends, and the returned `hold` is True. A goal of a stream does not end, but the arm waits where it is."""
+        """Return the moves that are due, as (frame, hold) like step(). If the arm would hit something while it follows
+        a trajectory, the trajectory ends, and the returned `hold` is True. If it would hit something while it follows a
+        goal of a stream, the goal is kept, but the arm waits where it is. Otherwise `hold` is returned unchanged."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -401,8 +403,8 @@ class ArmCore:
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """Return these joints, which must be read before the trajectory can continue. If this takes longer than FIND_NS,
-    the trajectory fails."""
+    """Return these joints, which must be read before the trajectory can continue. If they could not be read for
+    FIND_NS, the trajectory fails."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

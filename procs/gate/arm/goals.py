@@ -1,8 +1,8 @@
 """Goals: what clients want the arm to do. Pure.
 
 A trajectory has an end. When it is over, the joints' positions are read, to check that the arm has arrived. In the
-modes follow and jog, a client sends a stream of goals that it must renew. While there is no trajectory, the newest goal
-of a stream counts for arm.goal_timeout_s.
+modes follow and jog, a client sends a stream of goals that it must renew. The newest goal of a stream counts until it
+is older than arm.goal_timeout_s, but not while there is a trajectory.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ Waypoint = tuple[float, dict[Joint, float]]
 
 
 class Goal(Data):
-    """A goal of a stream. In the mode follow, it gives a position for each joint, in pulses. In the mode jog, it gives
-    a rate for each joint, in pulses/s."""
+    """A goal of a stream. In the mode follow, `ends` is a position for each joint, in pulses. In the mode jog, it is a
+    rate for each joint, in pulses/s. Before ArmCore.accept() has accepted the goal, both are in rad instead of
+    pulses."""
 
     mode: str
     session: int
@@ -51,8 +52,8 @@ class Goal(Data):
 
 
 class Trajectory:
-    """A movement, as positions of joints over time. At the end, the joints' positions are read, to check that the arm
-    has arrived. A movement to a pose is a trajectory too."""
+    """A movement to a pose or along a client's path, as positions of joints over time. At the end, the joints'
+    positions are read, to check that the arm has arrived."""
 
     mode = TRAJECTORY
 
@@ -113,7 +114,8 @@ class Trajectory:
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
-        """End the trajectory. It is a success if `outcome` is empty; otherwise `outcome` is the reason."""
+        """End the trajectory. `outcome`: why it has failed; empty if it has succeeded. `dropped`: True if the arm was
+        taken from its client."""
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:

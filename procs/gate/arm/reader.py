@@ -1,9 +1,9 @@
 """Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
 The firmware does not match answers with questions. If the answer to one question comes late, the firmware returns it as
-the answer to the second question. A third question then gets the value 0, as if a servo had answered. So the reader
-ignores the first answer after an unanswered question. It believes a position only when two readings in a row agree, and
-it believes a 0 only as the state of the torque.
+the answer to the next question. The question after that gets the value 0, as if a servo had answered. So the reader
+ignores the first answer after an unanswered question. It believes a position only if two readings in a row agree. It
+believes the value 0 only if the question was about the torque.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""The largest difference between the port owner's delays for two frames, on a busy machine. So two frames may come
-closer together than they were sent. The port owner drops a question that comes too soon, and then the servo seems not
-to answer."""
+"""On a busy machine, the port owner may get one frame late and the next one in time. The two frames then come up to
+this much closer together than the gate sent them. The port owner would drop a question that comes too soon, and the
+servo would seem not to answer."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
 """The shortest time between the last move and the next question. The port owner drops a question while a servo may
 still be moving."""
@@ -60,7 +60,7 @@ class ServoReader:
         return self._joints[at : at + LOOKED]
 
     def seen(self, servo: int, value: int, t_ns: int) -> None:
-        """Record the position of a moving joint. One reading is enough, because nothing is commanded based on it."""
+        """Record the position of a moving joint. One reading is enough, because no command depends on it."""
         for joint in self._joints:
             if joint.servo == servo:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
@@ -70,7 +70,7 @@ class ServoReader:
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """Return the time when the receiver is free again after the last question, even without an answer."""
+        """Return the time when the board's receiver is free again after the last question, even if no answer comes."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
@@ -103,8 +103,8 @@ class ServoReader:
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """Allow the next question soon, because someone waits for positions from now on. This ends the long pause
-        (IDLE_NS)."""
+        """Somebody waits for positions from now on: end the long pause (IDLE_NS), so that the next question can be
+        asked as soon as the receiver is free."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 

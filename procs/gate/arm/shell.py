@@ -108,8 +108,8 @@ class Arm:
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def client_gone(self, session: int, now_ns: int) -> None:
-        """Handle a client that has left or died. Stop the joints that it moved, and forget the request that it waits
-        for."""
+        """Handle a client that has left or died. If the arm moves for this client, stop it. That includes the movement
+        to the drive pose that begins when this client wants motion enabled."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
@@ -217,9 +217,9 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Report the progress to the client that waits for a trajectory, and the result at the end. If the client wants
-        motion enabled and the arm is in its drive pose, the client gets no reply yet. Its request is returned instead,
-        so that the caller can enable motion. Returns None in all other cases."""
+        """Report the progress to the client that waits for a trajectory, and the result at the end. But if the client
+        wants motion enabled and the arm has reached its drive pose, return the client's request. The caller must then
+        enable motion and reply to the client. Returns None in all other cases."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -242,11 +242,11 @@ class Arm:
         return None
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
-        """Send the arm to its drive pose, because a client wants motion enabled. Returns the reply for the client. When
-        the arm has arrived, answer_waiter() returns the client's request.
+        """Send the arm to its drive pose, because a client wants motion enabled. Returns the client's first reply: the
+        progress or a refusal. When the arm has arrived, answer_waiter() returns the client's request.
 
-        Returns None if the settings have no drive pose, because motion may then be enabled at once. In this case the
-        arm stops where it is. But on a board that can move arm and wheels together, the arm continues its movement.
+        If the settings have no drive pose, motion may be enabled at once, so this returns None. The arm then stops
+        where it is, or, if the board can move arm and wheels together, continues its movement.
         """
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
@@ -264,8 +264,9 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Judge the arm's pose from the joints' measured positions, after a trajectory to the drive pose has ended.
-        Returns the reason why motion can't be enabled, or an empty text if it can."""
+        """After the trajectory to the drive pose has ended, return the reason why motion can't be enabled, or an empty
+        text if it can. This judges the joints' measured positions. Without any servo of the drive pose, the setting
+        arm.absent decides."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:

@@ -23,8 +23,8 @@ might have to wait too long behind both."""
 class Space:
     """Checks whether the arm would hit something if its joints moved to their next positions.
 
-    The end of each move is checked before the move is sent. A servo that gets no further move stops at the end of its
-    last one, which was checked. If parts touch already, according to the model, they may move apart.
+    The end of each move is checked before the move is sent. So a servo that gets no further move stops at a position
+    that was checked. If parts of the arm touch already, according to the model, they may move apart.
     """
 
     def __init__(self, settings: Settings, joints: list[Joint]) -> None:
@@ -34,8 +34,9 @@ class Space:
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Return the joints whose positions must be known before `joints` move. A joint that does not answer is left
-        out, and counts as being where it was last."""
+        """Return the joints whose positions must be known before `joints` move. If collisions are checked, these are
+        all joints. But a joint that does not answer and is not in `joints` is left out, and counts as being where it
+        was last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
@@ -44,8 +45,8 @@ class Space:
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """Return a text about what the arm would hit at its joints' next positions, or an empty text if the arm may
-        move there. In that case the next positions count as the present ones from now on."""
+        """Return a text about what the arm would hit at its joints' next positions. If it would hit nothing, return an
+        empty text, and take the next positions as the present ones."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -129,7 +130,8 @@ class Stream:
         return self._bus.move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
-        """Set each joint to its position at the end of its next move. A joint without a goal slows down."""
+        """Calculate each joint's position at the end of its next move. A joint without a goal slows down until it
+        rests."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
             elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
