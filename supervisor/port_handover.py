@@ -4,8 +4,8 @@ port to the port owner, the stopper and telemetry.
 On its own descriptor the supervisor writes the first stop of a run, and any stop that the port owner can't write.
 
 Only the supervisor opens a port. It gives each port that it opens a number. The port owner, the stopper and telemetry
-inherit the supervisor's descriptor when they start, or receive it later. When the port is gone, all four processes
-close it at once, so they never use different ports.
+inherit the supervisor's descriptor when they start, or receive it later. If the port is lost, all four processes close
+it at once, so they never use different ports.
 """
 
 from __future__ import annotations

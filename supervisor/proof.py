@@ -75,8 +75,8 @@ class Proof:
         if they were not seen still."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """True if the stop's bytes were still in the kernel when the outcome was logged, because the board accepts no
-        bytes."""
+        """True if the board accepts no bytes, so that the stop's bytes were still in the kernel when the outcome was
+        logged."""
         self.believed = True
         """False if the device to which the stop was written has not yet answered as the board does, so it may not be
         the board."""
@@ -200,13 +200,13 @@ class Link:
     """The state of the link to the board: whether the board at the open port hears what is written to it, and whether
     it sends anything. Pure.
 
-    unproven   the board has answered no ping since the port was opened. It may not hear, but this alone stops no motion
+    unproven   the board has answered no ping since the port was opened. Perhaps it does not hear. This stops no motion
     alive      the board answers
     deaf       the board answered earlier and now does not, or it reports that it obeys zero while motion is written
     silent     the board sent reports earlier and now sends nothing. It has no power, or its program has ended, or the
                wire from the board is broken. Nobody can tell which of these it is, or whether the board still hears
     unheard    the port was lost and is open again, but the device at the port has not answered. It may not be the board
-    unasked    the board has no pings, so it can't answer. Nothing is known about its hearing, and this stops no motion
+    unasked    the board has no pings, so it can't answer. Nobody knows whether it hears. This stops no motion
 
     After a loss of the port, the state is unheard if the board had answered before the loss, or if the device may not
     be the board (finder.py). A board can be deaf and still send reports, so its reports never prove that it hears.
@@ -335,8 +335,8 @@ class Link:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Record that no stop is latched. If the board counted as deaf because it obeyed zero, forget this, because
-        only the next motion shows whether it hears again."""
+        """Record that no stop is latched. A board that counted as deaf because it obeyed zero then no longer counts as
+        deaf: only the next motion can show whether it hears again."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 

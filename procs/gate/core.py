@@ -75,8 +75,8 @@ class GateCore:
         self.velocity = REST
         self.speeds = kinematics.rest
         self.capped = ""
-        """How the speed is limited while nobody has confirmed the scale of the board's speeds, in words. Empty if the
-        scale is confirmed."""
+        """If nobody has confirmed the scale of the board's speeds, a text that says how the speed is limited until
+        somebody does. Otherwise empty."""
         self.notes: list[Note] = []
         """Notes for people, oldest first. The gate's loop passes them on to the supervisor and empties this list."""
         self._losses = DriverLosses(now_ns)

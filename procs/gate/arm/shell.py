@@ -133,7 +133,8 @@ class Arm:
 
     def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
         """Accept a goal. Returns the cause to stop for if two programs send goals at the same time, otherwise None. A
-        goal that the arm has refused is not kept, so a later goal of another program is no reason to stop."""
+        goal that the arm refuses is not kept, so it does not count as sent at the same time as a later goal of another
+        program."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.accept(goal, closed, now_ns)
