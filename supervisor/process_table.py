@@ -34,9 +34,9 @@ class ProcessTable:
     early (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Create the children, but do not start them. From now on, the kernel reports the death of the thread that
-        calls this through the supervisor's block of futexes. So only the supervisor's main thread may call it.
-        `advice`: what people can do if the machine does not run a process."""
+        """Create the children, but do not start them. Only the supervisor's main thread may call this, because from now
+        on the death of the calling thread counts as the supervisor's death. `advice`: what people can do if the machine
+        gives a process no processor time."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}

@@ -249,8 +249,8 @@ def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """For each process, a clause about how the previous process with the same name ended. If that one hung and the
-    supervisor killed it, the clause says so, which the exit status alone does not show."""
+    """For each process, a clause about how the previous process with the same name ended. If the
+    supervisor killed that process because it hung, the clause says so. The exit status alone would not show this."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}

@@ -363,7 +363,8 @@ ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
 )
 """A client's trajectory for the arm: its session, the share of the joints' highest speeds that the trajectory may use,
 the servos (at most MOST_JOINTS), and the rows (at most MOST_ROWS). Each row has a time (s) and the angles of these
-servos' joints (rad). If the time in the first row is 0, the arm moves as fast as allowed."""
+servos' joints (rad). If the time in the first row is 0, the arm moves to that row's
+angles as fast as allowed."""
 OF_SESSION: dict[str, Shape] = {
     "command": COMMAND,
     "sensed": ASSERTED,  # written when the obstacle sensor has delivered; the time is the reading's

@@ -29,7 +29,7 @@ class FileLine(Data):
 
     @property
     def whole(self) -> str:
-        """The key of the setting, together with its table, as TOML reads it."""
+        """The full key, for example "gate.period_s": the table, a dot and the name."""
         return ".".join(filter(None, (self.table, self.name)))
 
 

@@ -1,5 +1,5 @@
-"""Limits: restricts how often requests are accepted, for example the tries of one address to pair. Pure, because the
-time is an argument."""
+"""Limits: restricts how often requests are accepted, for example attempts to pair that come from one address. Pure,
+because the time is an argument."""
 
 from __future__ import annotations
 

@@ -61,9 +61,9 @@ class OpenPort:
         self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """Send the board its settings, because it hears from now on. If the kernel does not take all of them, or if a
-        stop comes between them, they are sent again later. Only after that does the port count as open. If it counted
-        as open earlier, motion could begin although the board's own watchdog was never set."""
+        """Send the board its settings, now that it can receive bytes. If the kernel does not take all of them, or if a
+        stop comes between them, they are sent again later. Only after that does the port count as open. Otherwise
+        motion could begin although the board's own watchdog was never set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)

@@ -22,7 +22,8 @@ class RequestPipe:
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """A timer that is due when the rest after a request ends. Set to NEVER while the pipe does not rest."""
+        """After a request the pipe is not read for a while. This timer is due when it is read again. NEVER if the pipe
+        is read now."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:

@@ -1,5 +1,6 @@
 """Proving: publishes what the board's answers and reports prove. The records say up to which time the board has handled
-all writes, and since when it has obeyed zero although motion is commanded."""
+all writes, and since when the board has reported that it obeys
+a command of zero although motion is commanded."""
 
 from __future__ import annotations
 

@@ -33,7 +33,8 @@ RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
 """Such a value, divided by the compared seconds, is added to the allowed factor. So after a short comparison only a
 large difference counts. The first value is for the sums Ratio.risen, and the second for Ratio.reached."""
 FORGET_S = 10.0
-"""When the sums cover more than this many seconds, they are halved, so that the result follows changes of the robot."""
+"""When more than this many seconds were added up, all sums are halved. So the comparison follows the robot if, for
+example, its load changes."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
 """Commands below these (turns per second, rad/s) are not compared. They are rounded coarsely, and may be too small to
 start a motor."""

@@ -88,8 +88,8 @@ def unpacked(suite: str, include: Sequence[str] = (), architecture: str = "") ->
 @contextlib.contextmanager
 def emulated() -> Iterator[None]:
     """The kernel runs programs for arm64 by qemu-user. Raises BenchError with what is missing."""
-    if not Path("/usr/bin/qemu-aarch64-static").exists():
-        raise BenchError("programs for arm64 need an emulator: apt install qemu-user-static")
+    if not (Path("/usr/bin/qemu-aarch64-static").exists() and shutil.which("arch-test")):
+        raise BenchError("programs for arm64 need an emulator: apt install qemu-user-static arch-test")
     if not (FORMATS / "register").exists():
         subprocess.run(["mount", "-t", "binfmt_misc", "binfmt_misc", FORMATS], check=False)
     here = [path for path in FORMATS.glob("*aarch64*") if path.read_text().startswith("enabled")]

@@ -44,7 +44,8 @@ LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
        134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
        141: "the gimbal (T:141)"}  # fmt: skip
-"""The commands for lights, gimbal and display, which move no wheel: the T of each, with a name for people."""
+"""The commands that move no wheel, such as those for lights, gimbal and display. The keys are the commands' numbers
+(T), the values are their names in texts for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
 """How the T of each of these commands is written. If `133` were written plainly, a byte lost on the cable could turn it
 into T:13, which drives the wheels."""

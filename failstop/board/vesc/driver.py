@@ -116,7 +116,7 @@ class VescDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:
-    """Make a VescDriver for a program that has opened the guard port, with the wheels and the servo of the settings."""
+    """Make a VescDriver, with the wheels and the servo that the settings describe."""
     if settings.get("wheels.layout") != "ackermann":
         return VescDriver(int(settings.get("board.can_id", USUAL_CAN_ID)), None)
     per_rad = float(settings["steering.sign"]) * float(settings["steering.per_rad"])
