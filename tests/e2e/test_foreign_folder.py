@@ -23,6 +23,7 @@ from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG
 from tests.support.boards import own_folder
 from tests.support.children import NOBODY
+from tests.web.parts import STORY_S
 
 HOSTILE = """\
 with open({log!r}, "a") as _log, open("/proc/self/cmdline") as _line:
@@ -137,8 +138,6 @@ def test_a_command_runs_none_of_its_modules(command: str, folder: Folder, tmp_pa
         assert code == FAILS.get(command, 0), said
 
 
-STORY_S = 200.0
-"""The page draws with `nice -n 10`, and the other tests that run meanwhile are not so polite."""
 ENDS_S = 10.0
 
 

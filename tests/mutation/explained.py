@@ -308,7 +308,6 @@ SUPERVISOR = (
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
     Reason("supervisor/events.py", r"fitted\(PREFIX \+ text, 3\)", "where a line breaks on a terminal", same=False),
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
-    Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/children.py", r"\n\+\s+self\.block = 1$", "a start sets it, and without one it is not read"),

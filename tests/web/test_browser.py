@@ -15,7 +15,7 @@ from failstop.policy.settings import Settings
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.browser import CHROMIUM, Browser, Tab
 from tests.web.driving_parts import enable_soon
-from tests.web.parts import Web
+from tests.web.parts import STORY_S, Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -268,4 +268,4 @@ def test_an_incident_shows_its_story_and_its_picture(trial: Trial, paired: Tab) 
     assert " ms, acknowledged after " in paired.text(".card small") or " us, acknowledged" in paired.text(".card small")
     paired.run("document.querySelector('.card summary').click()")
     picture = "document.querySelector('.card img')"
-    paired.until(f"{picture}?.naturalWidth > 400 && !!document.querySelector('.card .cause')", "a picture", 60)
+    paired.until(f"{picture}?.naturalWidth > 400 && !!document.querySelector('.card .cause')", "a picture", STORY_S)

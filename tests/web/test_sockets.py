@@ -18,7 +18,7 @@ from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
 from failstop_lab.trial import Trial, wait_for
-from tests.web.parts import Web
+from tests.web.parts import STORY_S, Web
 from tests.web.viewer import Viewer
 
 IDLE = connections.MOST + 5
@@ -226,7 +226,7 @@ def test_a_story_and_a_picture_are_not_waited_for(latched: Trial, web: Web) -> N
         told = json.loads(web.ask("GET", f"/api/incidents/{identity}/story")[2])
         return bool(told.get("story")) and told["picture"] is True
 
-    wait_for("the story and the picture", whole, 60)
+    wait_for("the story and the picture", whole, STORY_S)
     drawn: list[tuple[int, dict[str, str], bytes]] = []
 
     def there() -> bool:
