@@ -23,7 +23,7 @@ from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG
 from tests.support.boards import own_folder
 from tests.support.children import NOBODY
-from tests.web.parts import STORY_S
+from tests.support.waiting import STORY_S
 
 HOSTILE = """\
 with open({log!r}, "a") as _log, open("/proc/self/cmdline") as _line:

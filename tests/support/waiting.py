@@ -9,6 +9,9 @@ from collections.abc import Callable
 import pytest
 
 DEADLINE_S = 20.0
+STORY_S = 200.0
+"""The operator's page makes stories and pictures with `nice -n 10`, and the other tests that run meanwhile are not so
+polite."""
 
 
 def until(condition: Callable[[], object], what: str) -> None:

@@ -23,8 +23,6 @@ from failstop_lab.trial import Trial, TrialError, wait_for
 HEADERS = {"X-Failstop": "1"}
 TIMEOUT_S = 30.0
 """A picture takes seconds to draw on a busy machine."""
-STORY_S = 200.0
-"""The page makes stories and pictures with `nice -n 10`, and the other tests that run meanwhile are not so polite."""
 
 
 class Web:

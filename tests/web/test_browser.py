@@ -13,9 +13,10 @@ import pytest
 from failstop.api import distance
 from failstop.policy.settings import Settings
 from failstop_lab.trial import Trial, judge, wait_for
+from tests.support.waiting import STORY_S
 from tests.web.browser import CHROMIUM, Browser, Tab
 from tests.web.driving_parts import enable_soon
-from tests.web.parts import STORY_S, Web
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -18,7 +18,8 @@ from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
 from failstop_lab.trial import Trial, wait_for
-from tests.web.parts import STORY_S, Web
+from tests.support.waiting import STORY_S
+from tests.web.parts import Web
 from tests.web.viewer import Viewer
 
 IDLE = connections.MOST + 5
