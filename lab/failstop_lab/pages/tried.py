@@ -18,8 +18,9 @@ Each row says what the run printed, on which day and at which commit. A + means 
 commit. The conditions are how long the run took, the load of the machine at its end, and its steal, which is the share
 of the processors' time that the host took away.
 
-An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column. failstop starts
-there, drives, and stops the wheels of a killed program. But it is about twenty times slower, its order of memory is the
+An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column. On one machine
+failstop started there, drove, and stopped the wheels of a killed program. On another one, which is half as fast, the
+demo's service was not ready within 10 s. An emulated system is about twenty times slower, its order of memory is the
 machine's, and qemu passes on no death through a robust futex. So these rows say that the packages fit, and nothing
 about times.
 
