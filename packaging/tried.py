@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from failstop.board.kinds import ALL_KINDS
-from failstop_lab.faults.report import processor_ticks
+from failstop_lab.faults.report import processor_ticks, stolen_share
 from failstop_lab.pages import tried
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -127,9 +127,7 @@ def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
 def conditions(begun: tuple[int, int], took_s: float) -> str:
     """What the machine was like during a run: its length, the load at its end, and the share of the processors' time
     that the host took away. `begun`: processor_ticks() at the start."""
-    (all_before, stolen_before), (now, stolen) = begun, processor_ticks()
-    share = (stolen - stolen_before) / max(1, now - all_before)
-    return f"{took_s:.0f} s, load {os.getloadavg()[0]:.1f}, steal {share:.1%}"
+    return f"{took_s:.0f} s, load {os.getloadavg()[0]:.1f}, steal {stolen_share(begun):.1%}"
 
 
 def said(*words: str) -> str:

@@ -32,7 +32,7 @@ from failstop.shm.words import Barrier
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.children import ALIVE, KILLED, RUNNING, TERMINATED, Child, Fence
 from failstop.supervisor.latch import Epochs
-from failstop.supervisor.port_handover import OwnPort, PortHandover
+from failstop.supervisor.port_handover import OwnPort, PortHandover, outcome
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import LEASE, Status, advice, lacking
@@ -387,8 +387,7 @@ class Supervisor:
                 sleep(HURRY_NS / 1e9)  # the loop's wait would return at once, because nobody handles the dead any more
         heard_ns = self._hear(stop.written_ns)
         link = self.tracker.link.state
-        told = "the stop is written" if stop.written_ns else "NO STOP COULD BE WRITTEN YET"
-        self.status.notify.stopping(f"{told}; ending every process")
+        self.status.notify.stopping(f"{outcome(written=stop.written_ns > 0)}; ending every process")
         self.heartbeat.state(heartbeat.BEAT_STOPPING, monotonic_ns())
         for child in reversed(self.children):
             child.kill(END_S)

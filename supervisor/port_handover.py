@@ -46,6 +46,11 @@ UDEV_S = 2.0
 """How long to wait at boot until udev lets users open the device file, s. The file may exist before that."""
 
 
+def outcome(*, written: bool) -> str:
+    """Return a clause which says whether a stop was written. `written`: True if the kernel has taken the whole stop."""
+    return "the stop is written" if written else "NO STOP COULD BE WRITTEN YET"
+
+
 class OwnPort(StopPort):
     """The supervisor's own descriptor of the port, `fd`. It is -1 while the port is gone."""
 
@@ -249,7 +254,7 @@ class PortHandover:
     def log_return(self, now_ns: int, *, written: bool) -> None:
         """Log that the port was opened again. `written`: the kernel has taken the whole stop."""
         path, away_s = self.opener.finder.at, (now_ns - self._lost_ns) / 1e9
-        stop = "the stop is written" if written else "NO STOP COULD BE WRITTEN YET"
+        stop = outcome(written=written)
         text = f"{path} is back after {away_s:.1f} s; {stop}"
         if not self.sure:
             proof = ", which proves nothing until it answers" if written else ""

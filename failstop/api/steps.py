@@ -114,7 +114,8 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
     guarded = ", ".join(client.name for client in state.clients if client.wrong and client.sees.startswith(GUARDED))
     dumb = next((part for part, text in state.servos_wrong.items() if servos.SILENT_SERVO in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
-    let_go, stick = f"have {held or 'that program'} send zero or pause", is_stick(state.source_that("held"))
+    held_back, let_go = state.block is Block.HELD, f"have {held or 'that program'} send zero or pause"
+    ended = f"{let_go}, or end it, {how['enable']} and start it again"
     off, interlock = not state.enabled and not dead, f"satisfy the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -139,14 +140,8 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
         [
             (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way")),
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
-            (
-                state.block is Block.HELD,
-                Step(Purpose.COMMAND, let_go, LET_GO)
-                if stick
-                else Step(
-                    Purpose.COMMAND, f"{let_go}, {OR_END}", f"{let_go}, or end it, {how['enable']} and start it again"
-                ),
-            ),
+            (held_back and is_stick(state.source_that("held")), Step(Purpose.COMMAND, let_go, LET_GO)),
+            (held_back, Step(Purpose.COMMAND, f"{let_go}, {OR_END}", ended)),
             (
                 idle and silent,
                 Step(
@@ -187,8 +182,8 @@ def line(state: State) -> str:
 
 def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
     """One sentence for the page: what to do first. Normally it is the first step. But if a stop may not have reached
-    the board, and the first step neither mends the service or the port nor uses the power switch, the sentence tells
-    people to use the power switch. Empty if nothing needs to be done."""
+    the board, it tells people to use the power switch, unless the first step says so already, or repairs the service or
+    the port. Empty if nothing needs to be done."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state, events) and not sure:

@@ -24,7 +24,7 @@ def test_a_stop_of_which_one_robot_is_in_doubt_is_no_success(
     answers: list[tuple[str, str, bool]],
     code: int,
 ) -> None:
-    """What suspends the machine goes by it (failstop-sleep.service)."""
+    """The unit failstop-sleep.service runs it before the machine is suspended."""
     monkeypatch.setattr(instances, "listening", lambda: [str(at) for at in range(len(answers))])
     monkeypatch.setattr(ask, "stop", lambda name, _reason, _who: answers[int(name)])
     assert stop._every_service("hand near wheel", "failstop stop") == code

@@ -180,10 +180,15 @@ def processor_ticks() -> tuple[int, int]:
     return sum(ticks), ticks[7] if len(ticks) > 7 else 0
 
 
+def stolen_share(begun: tuple[int, int]) -> float:
+    """The share of the processors' time that the host took away since then. `begun`: processor_ticks() at that time."""
+    (all_before, stolen_before), (now, stolen) = begun, processor_ticks()
+    return (stolen - stolen_before) / max(1, now - all_before)
+
+
 def conditions(begun: tuple[int, int]) -> str:
     """What decides how late a stop is, of the machine since then, in words."""
-    (all_before, stolen_before), (now, stolen) = begun, processor_ticks()
-    share = (stolen - stolen_before) / max(1, now - all_before)
+    share = stolen_share(begun)
     with rights.realtime(1) as granted:
         found = "with real-time rights" if granted else "without real-time rights"
     load = os.getloadavg()[0]
