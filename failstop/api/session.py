@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, get_args
 from failstop.api import steps, verdict, words
 from failstop.api.client import Client, SeenRun, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
-from failstop.api.events import LOOK_S
+from failstop.api.events import LOOK_S, EventLog
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.api.steps import Purpose
@@ -35,8 +35,8 @@ Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """The words that `Robot.wait_for` accepts. ready: if a stop is latched, `reset()` would succeed; if none is, `enable()`
 would. enabled: motion is enabled. disabled: it is not. latched: a stop is latched. clear: none is. moving: the gate
-commands a velocity. standing: it commands none. still: the last stop has its third proof (`Stop.observed_s`), so the
-wheels were seen still."""
+commands a velocity. standing: it commands none. still: no velocity is commanded, and the newest reading shows that the
+wheels are still. The reading must be newer than whatever stopped the wheels last."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
 """How long to wait for the answer to a request, in seconds. The gate normally answers within a tick."""
@@ -68,7 +68,7 @@ _CHECKS: dict[str, Callable[[State], bool]] = {
     "clear": lambda state: state.cause is None,
     "moving": lambda state: state.moving,
     "standing": lambda state: not state.moving,
-    "still": lambda state: bool(state.last_stop and state.last_stop.observed_s is not None),
+    "still": lambda state: not state.moving,  # what was seen of the wheels needs the events (_seen_still)
 }
 assert _CHECKS.keys() == set(get_args(Word))
 
@@ -319,17 +319,26 @@ class Session:
             late = time.monotonic() >= until_s
             try:
                 state = self.state
+                shown = what != "still" or self._seen_still(state)
             except FailstopError:
                 if late or self._closed:
                     raise
             else:
-                if is_so(state):
+                if shown and is_so(state):
                     return state
                 if late:
                     step = steps.line(state)
                     text = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
                     raise TimedOut(text + (f"; next: {step}" if step else ""))
             yield min(LOOK_S, max(0.0, until_s - time.monotonic()))
+
+
+    def _seen_still(self, state: State) -> bool:
+        """True if the wheels were seen still since they were last stopped. Raises NoService, FailstopError."""
+        if state.turning.does != "still":
+            return False
+        seen = verdict.seen_since(state, EventLog(self.name, past=True).read(), time.time())
+        return seen.turning.does == "still"
 
 
 def sleep_through(steps: Steps[T]) -> T:

@@ -105,6 +105,23 @@ def test_waiting_for_a_word_and_for_a_function(robot: Robot) -> None:
         robot.wait_for("stopt")  # type: ignore[arg-type]
 
 
+def test_still_is_never_about_an_older_stop() -> None:
+    simulated = Simulated(imu_hz=110.0)
+    robot, late = simulated.robot, simulated.failstop.TimedOut
+    robot.estop("the first stop")
+    robot.wait_for(lambda state: state.estop and state.last_stop.observed_s is not None, 5.0)
+    simulated.set_off()
+    with pytest.raises(late):
+        robot.wait_for("still", 0.0)
+    robot.disable()  # latches no stop, so the last stop and its proof are still the first stop's
+    disabled_ns = simulated.now_ns()
+    with pytest.raises(late):
+        robot.wait_for("still", 0.0)
+    state = robot.wait_for("still", 5.0)
+    assert simulated.now_ns() - disabled_ns >= 500 * MS  # the IMU needs half a second of quiet
+    assert (state.turning.does, state.turning.by) == ("still", "IMU")
+
+
 def test_what_does_not_come_about_is_told_with_what_to_do(robot: Robot) -> None:
     with pytest.raises(TimedOut, match=r"^waited 0.05 s for 'moving': blocked: disabled; next: `failstop enable"):
         robot.wait_for("moving", 0.05)
