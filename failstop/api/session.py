@@ -332,7 +332,6 @@ class Session:
                     raise TimedOut(text + (f"; next: {step}" if step else ""))
             yield min(LOOK_S, max(0.0, until_s - time.monotonic()))
 
-
     def _seen_still(self, state: State) -> bool:
         """True if the wheels were seen still since they were last stopped. Raises NoService, FailstopError."""
         if state.turning.does != "still":

@@ -40,7 +40,8 @@ class Why:
     stop was written, acknowledged and observed; other stops are not timed. At the end it says what is observed at
     present, with the age of the reading."""
     do: tuple[str, ...]
-    """The steps to take, in order, with commands in backquotes. Empty while the wheels move."""
+    """The steps to take, in order, with commands in backquotes. Empty while a velocity is commanded and nothing
+    blocks the wheels."""
     also: tuple[str, ...]
     """Faults that are not the reason for the stop, but that people should know about."""
     since: float | None

@@ -112,9 +112,8 @@ class Sender:
             )
         if young := self.tally.young(after_s):
             return (
-                f"{young[0]} connected less than {STABLE_S:g} s before it answered. Two robots with the same "
-                "name do that "
-                "in turn: stop them again"
+                f"{young[0]} connected less than {STABLE_S:g} s before it answered, so its connection may "
+                "break again and again: stop them again"
             )
         return ""
 

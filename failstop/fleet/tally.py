@@ -165,8 +165,8 @@ class Tally:
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Return the robots that have been connected for less than STABLE_S. Two clients with the same client name
-        never stay connected longer, because each ends the other's connection again and again."""
+        """Return the robots that were connected for less than STABLE_S when they answered. Such a connection may break
+        again at once, for example if another client of the same client name ends it again and again."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:

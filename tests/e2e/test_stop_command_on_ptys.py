@@ -290,7 +290,9 @@ def test_a_port_that_another_user_s_file_names_and_that_is_not_theirs_is_not_wri
     settings.write_text(f'device.path = "{link}"\n')
     assert cli.main(["stop"]) == 1
     gets(master, BURST)
-    assert f"so the stop went to {link}. If that is not the board," in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "the port of the last run, may not be opened by the user who made that run" in told
+    assert f"so the stop went to {link}. If that is not the board," in told
     settings.unlink()
     assert cli.main(["stop", "--wait", "0"]) == 1
     said = capsys.readouterr().err

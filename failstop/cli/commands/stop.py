@@ -46,6 +46,13 @@ failstop-late@ keeps trying to write the stop."""
 REST_S = 1.0
 """How long to wait for killed processes to end, in seconds. A process that is writing to a hanging port ends late."""
 
+NO_USE = {
+    "absent": "does not exist",
+    "not-a-tty": "is not a serial port",
+    "permission": "may not be opened by the user who made that run",
+}
+"""Why the port of the last run was not used, by the kind of its error, as the end of a sentence."""
+
 EXAMPLES = """\
 failstop stop
 failstop stop hand near wheel   # with a reason
@@ -184,7 +191,7 @@ def _write_to_port(order: Order) -> Outcome:
         if error.kind == "busy":
             by_service.extend(_ask_late_service(order))
             return bool(by_service)
-        return (error.kind == "absent" or target.is_not_theirs(error)) and target.wrote_instead()
+        return (error.kind == "absent" or target.is_not_theirs(error)) and target.wrote_instead(error)
 
     try:
         after_s = target.stop(otherwise=otherwise)
@@ -276,6 +283,8 @@ class Target:
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
+        self._instead_of = ""
+        """Why the port of the last run could not be used, as the end of a sentence."""
         """The port to which the stop was written because the port of the last run could not be used, and the uid of the
         user whose settings file names it. ("", 0) if this did not happen."""
         self._stopped = False
@@ -427,7 +436,7 @@ class Target:
             self.complain()
         return after_s
 
-    def wrote_instead(self) -> bool:
+    def wrote_instead(self, error: PortError) -> bool:
         """If the chosen port is that of the last run, write the stop to another one: the port that the settings file
         names, or the default port. This helps if the board has got another port since the last run, because it was
         plugged in again. Returns True if a stop was written."""
@@ -439,6 +448,7 @@ class Target:
         except PortError:
             return False
         self._instead = other
+        self._instead_of = NO_USE[error.kind]
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
@@ -486,7 +496,7 @@ class Target:
     def doubtful(self) -> bool:
         """Return True, and print a warning, if the stop was written to a port that was only guessed."""
         if self._instead[0]:
-            gone = f"{self._last.device}, the port of the last run, does not exist"
+            gone = f"{self._last.device}, the port of the last run, {self._instead_of}"
             standard.say(
                 f"{gone}, so the stop went to {self._instead[0]}. If that is not the board, name its port with --device"
             )
