@@ -107,7 +107,7 @@ def _draw(figure: Figure, incident: Incident, seconds: float) -> None:
             axes.axvline(0, color=ALARM, linewidth=1.4, zorder=5)
             for line in lines:
                 axes.axvline(incident.ms(line.ns), color=FAINT, linewidth=0.7, alpha=0.5, zorder=1)
-        whole.set_title(title, color=INK)
+        whole.set_title(UNREPORTED if draw is _wheels and not incident.measured else title, color=INK)
         if handles := whole.get_legend_handles_labels()[0]:
             place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.985), "borderaxespad": 0.0}
             whole.legend(handles=handles, ncols=min(len(handles), 6), **place)
@@ -250,3 +250,5 @@ PANELS: tuple[Panel, ...] = (
 )
 """The panels from the top, each with its title, its height in inches, and the function that draws it. The arm's panel
 is drawn only if the arm was moved."""
+UNREPORTED = "Wheel speeds written to the board, rps"
+"""The title of the wheels' panel if the board reports no wheel speeds."""

@@ -224,6 +224,7 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     shown = (tmp_path / "a.svg").read_text()
     assert shown.startswith("<?xml")
     assert len(shown) > 20_000
+    assert "dotted: as reported" not in shown, "this board reports no wheel speeds"
     for words in SHOWN:
         assert words in shown
 
