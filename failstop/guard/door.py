@@ -102,9 +102,11 @@ class Door:
         """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
         if two calls in a row have found no descriptor in it, because at the first call inotify may be about to report
         the close. Raises OSError."""
-        wanted, before = identity(self._pty.name), self._closed
-        with contextlib.suppress(PermissionError):
-            self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}
+        wanted, before, self._closed = identity(self._pty.name), self._closed, set()
+        for pid in self.seen.keys() - self._dying.keys():
+            with contextlib.suppress(PermissionError):  # nobody knows whether this program has closed it
+                if not holds(pid, wanted):
+                    self._closed.add(pid)
         return [self.seen[pid] for pid in self._closed & before]
 
     def recount(self, meanwhile: Callable[[], None]) -> None:

@@ -22,6 +22,7 @@ from failstop.board.driver import language_of
 from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
+from failstop.guard.news import Opener
 from failstop.guard.pty import Pty
 from failstop.guard.service import Service
 from failstop.policy.layouts import BOARDS
@@ -337,6 +338,33 @@ def test_what_was_written_by_nobody_who_is_there_is_thrown_away(tmp_path: Path) 
         assert not any("motion:" in line for line in lines)
     finally:
         guard.close()
+        pty.close()
+
+
+def test_a_program_whose_descriptors_cannot_be_seen_has_not_closed_the_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that has changed its user hides its descriptors, also from the search before it ends."""
+    pty = Pty(str(tmp_path / "port"))
+    door = Door(pty)
+    gone, hidden = 1001, 1002
+    named = Opener(gone, "driver", 1)
+
+    def holds(pid: int, wanted: object) -> list[int]:
+        if pid == hidden:
+            raise PermissionError(pid)
+        return []
+
+    monkeypatch.setattr("failstop.guard.door.holds", holds)
+    try:
+        door.seen = {gone: named, hidden: named}
+        assert door.abandoned() == []
+        assert door.abandoned() == [named], "the program that has closed it, although another one hides its own"
+        door.seen = {hidden: named}
+        assert door.abandoned() == []
+        assert door.abandoned() == []
+    finally:
+        door.close()
         pty.close()
 
 
