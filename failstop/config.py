@@ -1,4 +1,4 @@
-"""Configuration: reads and checks the settings file (TOML) once, when the service starts."""
+"""Configuration: reads and checks the settings file (TOML). The service reads it once, when it starts."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def installed(name: str) -> str:
 
 
 def chosen(name: str, path: str | None) -> str | None:
-    """The settings file to use: the one that a person named, or else the installed file of this instance. Returns None
-    if no file was named and this user can't read an installed one."""
+    """The settings file to use: `path` if given, else the installed file of this instance. Without `path`, None if this
+    user can't read the installed file."""
     default = installed(name)
     return path or (default if os.access(default, os.R_OK) else None)
 
@@ -43,8 +43,8 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> Settings
 
 
 def checked(changed: dict[str, object], path: str | None = None) -> Settings:
-    """Check settings that a person wrote, given by their whole keys such as `gate.lease_s`, and return them as
-    Settings. Raises SettingError, which names the file if `path` is given."""
+    """Check settings and return them as Settings. `changed`: the values by whole key, such as `gate.lease_s`. Raises
+    SettingError, which names the file if `path` is given."""
     button = changed.get(MODE_BUTTON)
     try:
         # With two bits set, two buttons would not stop the robot.
@@ -57,9 +57,9 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
 
 
 def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:
-    """A text that names the lines of a settings file that are below the wrong [table], and where they belong. It is
-    empty if every line is in its place. `found`: the values that the file sets, by whole key. `known`: a function that
-    returns True if a setting with that key exists."""
+    """Say which lines of a settings file are below the wrong [table], and where they belong. Empty if there are none,
+    or if the file can't be read. `found`: the values that the file sets, by whole key. `known`: returns True if a
+    setting with that key exists."""
     from failstop.policy import placing
 
     try:
@@ -69,8 +69,8 @@ def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool])
 
 
 def read(path: str | None) -> dict[str, object]:
-    """Read the values that a settings file sets, by whole key, without checking them. Returns nothing if `path` is
-    empty. Whatever is at that path, this raises only SettingError."""
+    """Read the values that a settings file sets, by whole key, without checking them. Without `path`, there are no
+    values. Whatever the file contains, this raises only SettingError."""
     if not path:
         return {}
     text = ""
@@ -102,9 +102,11 @@ def read(path: str | None) -> dict[str, object]:
 
 
 def _text(path: str) -> str:
-    """Read the text of a settings file. It reads only a regular file, because reading a device or a pipe may never end.
-    It also refuses long files and long lines, because the parser's time grows with the square of the number of parts of
-    a key."""
+    """Read the text of a settings file. Raises OSError, ValueError.
+
+    Devices and pipes are refused, because reading them may never end. Long files and long lines are refused, because
+    the parser's time grows with the square of the number of parts of a key.
+    """
     fd = durable.open_regular(path)
     try:
         data = b""

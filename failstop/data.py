@@ -17,8 +17,8 @@ else:
 @dataclass_transform()
 class Data:
     """A base class for classes that only hold values. The annotated names of a subclass are its fields, in that order.
-    You give the value of each field by position or by name, unless the field has a default. Raises TypeError if a value
-    is missing, is given twice, or has no field."""
+    Give each value by position or by name. A field with a default may be left out. Raises TypeError if a value is
+    missing, is given twice, or has no field."""
 
     def __init__(self, *values: Any, **named: Any) -> None:
         fields = type(self).__annotations__

@@ -1,7 +1,7 @@
 """Extras: the packages that only some parts of failstop need, and the message for a user who lacks them.
 
-No package index has failstop itself, so an extra of failstop can't be installed by its name. The message therefore
-names the packages themselves, and the Python for which they must be installed.
+failstop is on no package index, so an extra can't be installed by its name. The message names the packages, and the
+Python that needs them.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ PACKAGES = {
 
 
 def missing(what: str, extra: str, *, pip: bool | None = None) -> str:
-    """The message if the packages of an extra are missing: what needs them, and the pip command that installs them.
-    `pip`: True if this Python has pip, False if it has none; by default this function looks for it."""
+    """The message for a user who lacks the packages of an extra, with the pip command that installs them. The message
+    begins with `what`. `pip`: True if this Python has pip, False if not. By default, this function looks for pip."""
     packages = " ".join(PACKAGES[extra])
     if not (importlib.util.find_spec("pip") if pip is None else pip):
         return f"{what}, and there is no pip in {sys.prefix}: do it on a machine with failstop's source and {packages}"

@@ -2,10 +2,9 @@
 from the current folder.
 
 `python -m failstop` puts the current folder first on the search path, and so does an empty entry of PYTHONPATH. If root
-runs failstop in a folder where another user left a `json.py`, Python would run that file as root. Python's own option
-`-P` exists only since 3.11. `-I` alone would also ignore PYTHONPATH and the user's site-packages, where ROS and
-failstop itself may be installed. So a helper starts with `-I` and runs this file, which gets the search path from the
-process that starts the helper.
+runs failstop in a folder with another user's `json.py`, Python would run that file as root. Python's option `-P` exists
+only since 3.11. `-I` alone would also ignore PYTHONPATH and the user's site-packages, where ROS and failstop may be
+installed. So a helper starts with `-I` and runs this file, and its parent passes the search path.
 """
 
 from __future__ import annotations
@@ -18,16 +17,14 @@ _PACKAGE = os.path.dirname(_FILE)
 
 
 def python(module: str, *words: str) -> list[str]:
-    """The command line that runs a module as `python -m MODULE` does. If `module` is "-c", it runs the program in the
-    first of `words`."""
+    """The command line of a helper that runs a module, or the program `words[0]` if `module` is "-c"."""
     flags = ["-I", *["-B"] * sys.dont_write_bytecode]
     return [sys.executable, *flags, _FILE, os.pathsep.join(search_path()), module, *words]
 
 
 def search_path() -> list[str]:
-    """This process's search path without the current folder, even if an empty or relative entry put that folder there.
-    Folders that were added on purpose stay: those that PYTHONPATH names by their full path, and those of Python and
-    failstop itself."""
+    """This process's search path without the current folder and relative folders. The current folder stays if
+    PYTHONPATH has its full path, or if Python, failstop or installed packages are in it."""
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     meant = {os.path.dirname(_PACKAGE), os.path.dirname(os.__file__), *filter(os.path.isabs, named), *_site_packages()}
     try:
@@ -48,7 +45,8 @@ def _site_packages() -> list[str]:
 
 
 def leave_current_folder() -> None:
-    """From now on, import nothing from the current folder, in this process and in all processes that it starts."""
+    """From now on, import nothing from the current folder in this process. Child processes inherit a PYTHONPATH without
+    relative folders."""
     sys.path[:] = search_path()
     if named := os.environ.get("PYTHONPATH"):
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, named.split(os.pathsep)))

@@ -24,12 +24,11 @@ def unit_of(name: str) -> str:
 
 
 def make_runtime_dir(name: str) -> str:
-    """Make the runtime directory of an instance, or take over an existing one, and return its path. Raises
-    InstanceError.
+    """Make or take over the runtime directory of an instance, and return its path. Raises InstanceError.
 
     It tries the directories of instance.bases() in order, and skips those that this user may not use. Any other error,
-    such as a full disk, ends the search, because clients look in that directory first. They would not find a service in
-    a later one.
+    such as a full disk, ends the search. Clients look in that directory first, so they would not find a service in a
+    later one.
     """
     instance.check_name(name)
     doubts = ""
@@ -52,8 +51,8 @@ def make_runtime_dir(name: str) -> str:
 
 
 def _made(base: str, name: str, mode: int) -> bool:
-    """Make the directory `base` and the directory `name` in it. Returns False if another user owns the inner directory.
-    For root this is an error instead (Untrusted). Raises OSError."""
+    """Make the directory `name` in `base`, and `base` itself if needed. Returns False if another user owns the inner
+    directory. For root this raises Untrusted instead. Raises OSError."""
     before = os.umask(0)
     try:
         with contextlib.suppress(FileExistsError):
@@ -108,8 +107,7 @@ def lock(runtime_dir: str) -> int:
 
 
 def _pid(fd: int) -> str:
-    """The pid of the process that holds the lock. That process wrote its pid into the lock file; `unknown` if it has
-    not."""
+    """The pid that the holder of the lock wrote into the lock file, or `unknown`."""
     return os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
 
 
@@ -128,8 +126,8 @@ def refuse_listening(name: str, but: str = "") -> None:
 
 
 def holder(runtime_dir: str) -> str:
-    """The pid of the living process that holds the lock of a runtime directory. Empty if no process holds it, or if the
-    lock belongs to another user."""
+    """The pid of the living process that holds the lock of a runtime directory. Empty if no process holds the lock, or
+    if this user can't open it."""
     try:
         fd = claim.open_claims(instance.lock_path(runtime_dir))
     except OSError:
@@ -141,8 +139,8 @@ def holder(runtime_dir: str) -> str:
 
 
 def running(runtime_dir: str) -> bool:
-    """True if a service in this runtime directory accepts stop requests. False if another user could have made the
-    directory, because then it is not trusted."""
+    """True if a service in this runtime directory accepts stop requests. False if the directory is not trusted, because
+    another user could have made it."""
     try:
         os.close(bell.open_pipe_to_write(instance.stop_path(runtime_dir)))
     except OSError:

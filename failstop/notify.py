@@ -19,8 +19,7 @@ class Outbox:
         self._socket: _socket.socket | None = None
 
     def send(self, data: bytes) -> bool:
-        """Send one datagram. Returns False if it could not be sent at once, because no program listens or its queue is
-        full."""
+        """Send one datagram. Returns False if no program listens, or if its queue is full."""
         try:
             if self._socket is None:
                 kind = _socket.SOCK_DGRAM | _socket.SOCK_CLOEXEC | _socket.SOCK_NONBLOCK
@@ -58,8 +57,8 @@ class Notify(Outbox):
 
     @classmethod
     def from_environment(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
-        """Make a Notify from the service manager's variables. It removes them from `environ`, so that no process that
-        this one starts can speak in its name. A watchdog that was meant for another pid is ignored."""
+        """Make a Notify from the service manager's variables, and remove them from `environ`. So no child process can
+        speak in this process's name. A watchdog for another pid is ignored."""
         address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
         if address[:1] not in ("/", "@"):
             return cls()
@@ -67,9 +66,8 @@ class Notify(Outbox):
         return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
 
     def update(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
-        """Send what has changed since the last call. Also tell the watchdog that the service is alive, if it is time
-        for that and `healthy` is True. `ready`: the service has been ready at least once. `healthy`: the supervisor
-        does its job."""
+        """Send what has changed since the last call. Also send the watchdog's keep-alive if it is due and `healthy` is
+        True. `ready`: the service has been ready at least once. `healthy`: the supervisor does its job."""
         lines = ["READY=1"] if ready and not self._notified_ready else []
         if status != self._said:
             lines.append(f"STATUS={_one_line(status)}")
@@ -92,6 +90,6 @@ class Notify(Outbox):
 
 
 def _one_line(text: str) -> str:
-    """The text on one line. Otherwise a line break in the reason of a stop could add a line such as READY=1 to the
-    datagram."""
+    """The text on one line, with at most STATUS_CHARACTERS characters. A line break in a stop's reason could otherwise
+    add a line such as READY=1 to the datagram."""
     return "".join(c if c.isprintable() else "?" for c in text)[:STATUS_CHARACTERS]

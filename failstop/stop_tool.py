@@ -1,10 +1,9 @@
 """The stop tool: stops the robot when no service is running. It opens the port and writes the stop burst itself. When
 the service ends, it first kills the processes that are left of it.
 
-systemd runs this tool (ExecStopPost) at `systemctl stop`, at a restart, and when its watchdog fires. Workers of the
-service may still be alive then. They hold the port (TIOCEXCL), and could write to it after the stop. The tool finds
-them in /proc by their control group. It does not use the control group's own files, because their place differs between
-machines.
+systemd runs this tool (ExecStopPost) at `systemctl stop`, at a restart, and when its watchdog fires. Workers that are
+still alive hold the port (TIOCEXCL), and could write to it after the stop. The tool finds these workers in /proc by
+their control group. The control group's own files are not used, because their place differs between machines.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ def stop(
     """Write the stop burst, and try again until it works or the time is over. Returns how many seconds that took.
     Raises the last PortError.
 
-    `wait` is called after the first failure, and returns for how many seconds to try. It is not called earlier, because
-    it may have to read a file. `otherwise` is called after each failure; it returns True if a stop was sent in another
-    way, and then no more is written. `say` prints a text. `named_by`: as for open_port().
+    `wait` returns for how many seconds to try, and is called only after the first failure, because it may have to read
+    a file. `otherwise` is called after each failure, and returns True if a stop was sent in another way. Then nothing
+    more is written. `say` prints a text. `named_by`: as for open_port().
     """
     start_s = time.monotonic()
     wait_s = -1.0
@@ -71,8 +70,7 @@ def stop(
 
 def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
     """Write the whole stop burst to the port, and then the frames that stop an arm with these servos. Waits until the
-    bytes have left the kernel. It opens the port without taking it from another process. `named_by`: as for
-    open_port(). Raises PortError."""
+    bytes have left the kernel. The port is not opened exclusively. `named_by`: as for open_port(). Raises PortError."""
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port, named_by=named_by), board, servos)
     try:
         stop_port.burst()
@@ -86,9 +84,9 @@ def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: in
 
 
 def answered(path: str, board: Board, *, patient: bool, named_by: int = 0) -> bool | None:
-    """After a stop, find out if the board still answers. Returns None if that can't be known, because this kind of
-    board never answers, or because a service reads the port. `patient`: if the board doesn't answer, wait and ask
-    again, because opening the port resets some boards. `named_by`: as for open_port(). Never raises."""
+    """After a stop, find out if the board still answers. Returns None if this kind of board never answers, or if a
+    service reads the port. `patient`: ask a silent board again after a wait, because opening the port resets some
+    boards. `named_by`: as for open_port(). Never raises."""
     if not (board.pings or board.echo_ns):
         return None
     # Imported only here, because the stop itself needs neither.
@@ -126,8 +124,8 @@ def of_a_service(proc: str = "/proc") -> bool:
 
 def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
     """Kill (SIGKILL) all other processes of this process's control group, until none is left or `timeout_s` is over.
-    Returns how many processes were killed, and how many of the killed ones have not ended yet. `proc`: the folder that
-    lists the processes. Raises OSError if this process's own control group can't be read."""
+    Returns how many processes were found, and how many have not ended. A process of another user may not be killable.
+    `proc`: the folder that lists the processes. Raises OSError if this process's own control group can't be read."""
     group = _group(proc, "self")
     until_s = time.monotonic() + timeout_s
     killed: set[int] = set()
@@ -173,8 +171,8 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
 
 
 def _group(proc: str, pid: str) -> list[bytes]:
-    """The control group of a process, as lines of its `cgroup` file. It has only the lines for the hierarchies in which
-    systemd separates services. In other hierarchies people may have moved single processes. Raises OSError."""
+    """The control group of a process, as lines of its `cgroup` file. Only the hierarchies in which systemd separates
+    services count, because people may have moved processes in the others. Raises OSError."""
     with open(f"{proc}/{pid}/cgroup", "rb") as file:
         return [line for line in file.read().splitlines() if line.split(b":", 2)[1] in (b"", b"name=systemd")]
 

@@ -1,5 +1,5 @@
-"""The version of failstop, and the public names that are deprecated. The build and the running processes read both from
-here. SECURITY.md says how long a deprecated name keeps working."""
+"""The version of failstop, and the public names that are deprecated. The build reads the version here too. SECURITY.md
+says how long a deprecated name keeps working."""
 
 from __future__ import annotations
 
@@ -27,15 +27,13 @@ def renewed(word: str) -> str:
 
 
 def options(command: str, words: list[str]) -> list[str]:
-    """Return the arguments of a command with deprecated options replaced by the new ones. It also finds them in
-    `--option=value`."""
+    """Return the arguments of a command with the new names of deprecated options, also in `--option=value`."""
     parts = [word.partition("=") for word in words]
     return [renewed(f"{command} {flag}").removeprefix(f"{command} ") + sign + value for flag, sign, value in parts]
 
 
 class Renamed:
-    """Keeps the old name of an attribute or method working. Using the old name returns the new attribute, with a
-    DeprecationWarning."""
+    """Keeps the old name of an attribute or method working, with a DeprecationWarning."""
 
     def __init__(self, new: str) -> None:
         self.new = new

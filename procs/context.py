@@ -52,9 +52,9 @@ class Context:
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
-        """End the start-up (rights.settle), and let the supervisor know that the process runs. Then call `turn` once
-        per wake-up, with the descriptors that are ready, until it returns False. `longest_ns`: the longest sleep
-        between two calls."""
+        """End the start-up (rights.settle), and report to the supervisor that the process runs. Then call `turn` once
+        per wake-up with the ready descriptors, until it returns False. `longest_ns`: the longest sleep between two
+        calls."""
         rights.settle()
         self.heartbeat.state(BEAT_RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()
@@ -64,8 +64,8 @@ class Context:
         self.heartbeat.state(BEAT_STOPPING, monotonic_ns())
 
     def fd(self, key: str) -> int:
-        """Return the inherited descriptor that has this name on the command line. It is -1 if it is not open, for
-        example while the port is gone."""
+        """Return the inherited descriptor with this name on the command line, or -1 if it is not open, for example
+        while the port is gone."""
         return self._fds[key]
 
     def bell(self, key: str) -> EventBell:
@@ -75,6 +75,6 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Return the segments of all clients. The service reads them without mapping them. A segment whose file was
-        removed from the shared memory counts as unused."""
+        """Return the segments of all clients, to be read without mapping. A segment whose file was removed counts as
+        unused."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

@@ -30,9 +30,9 @@ class Control:
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
     def send(self, fd: int, number: int, path: str) -> None:
-        """Send a duplicate of the port's descriptor, with the port's number in this run and its path. If the other
-        process has died, nothing is lost, because its successor inherits the port. If the other process has no free
-        descriptor number, the duplicate is lost."""
+        """Send a duplicate of the port's descriptor, with the port's number in this run and its path. Errors are
+        ignored, because the successor of a dead process inherits the port. If the other process has no free descriptor
+        number, the duplicate is lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
             self._socket.sendmsg([_NUMBER.pack(number) + cut(path, PATH_BYTES)], packed, _socket.MSG_DONTWAIT)
@@ -57,8 +57,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """Like receive(), but only for ports whose number is at least `least`. Ports with a lower number are outdated,
-        so their descriptors are closed. Returns None if `ready` does not show that something was sent."""
+        """Like receive(), but only for ports whose number is at least `least`. The descriptors of older ports are
+        closed. Returns None if `ready` does not show that something was sent."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent
@@ -70,9 +70,9 @@ class Control:
 
 
 class HeldPort:
-    """Holds the port in a process other than the port owner. It adopts every descriptor that the supervisor sends, and
-    publishes the port's number in a word of shared memory. When the device is gone, it closes the port at once.
-    Otherwise the device would get a different name when it is plugged in again."""
+    """Holds the port in a process other than the port owner. It adopts newer descriptors from the supervisor, and
+    publishes the port's number in a word of shared memory (0 without a port). It closes the port as soon as the device
+    is gone, because the device would otherwise come back with a different name."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
@@ -100,8 +100,8 @@ class HeldPort:
 
     def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
         """Close the port if the device is gone, and adopt a port that the supervisor has sent. Call it once per turn.
-        `lost`: True if this process itself has found that the port is gone. Returns True if a descriptor was adopted.
-        It may be a new port, or a new descriptor of the same port."""
+        `lost`: True if this process has found that the port is gone. Returns True if it adopted a descriptor, of a new
+        port or of the same one."""
         taken = False
         given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
         if ready.get(self._fd, 0) & GONE or lost or given_up:

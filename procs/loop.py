@@ -1,12 +1,12 @@
 """Loop: waits for descriptors or for the next timer, with time-outs exact to the microsecond.
 
-A loop wakes up when one of its timers is due. The code that has set the timer must notice this, and pop the timer or
-set it again. Until it does, the loop does not sleep.
+A due timer wakes the loop. The code that has set the timer must then pop it or set it again. Until it does, the loop
+does not sleep.
 
 `epoll.poll` can only wait for whole milliseconds. `select` is more exact, but it can't watch a port for its hang-up
-alone. So the descriptors are in an epoll set, and `select` waits for that set if a timer is near. If no timer is near,
-a millisecond doesn't matter, so the epoll set waits by itself, which saves a call. Each wait is one sleep and costs
-about 0.12 ms of processor time (60 us in the kernel, and as much because of cold caches).
+alone. So the descriptors are in an epoll set, and `select` waits for that set while a timer is near. Otherwise the
+epoll set waits by itself, which saves a call. Each wait costs about 0.12 ms of processor time (60 us in the kernel, and
+as much because of cold caches).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Timer:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time, and the points that follow it. Each pop() that returns True moves the timer on to
-        the following point."""
+        """Set the next point in time, and the points that follow it. Each successful pop() moves on to the following
+        point."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
@@ -75,15 +75,14 @@ class Loop:
             self._epoll.modify(fd, wanted)
 
     def listen(self, *bells: EventBell) -> None:
-        """Watch bells. If a bell has rung, wait() clears it before wait() returns, so that a later ring wakes the loop
-        again."""
+        """Watch bells. wait() clears each bell that has rung, so that a later ring wakes the loop again."""
         for bell in bells:
             self._bells[bell.fd] = bell
             self.watch(bell.fd, READ)
 
     def forget(self, fd: int) -> None:
-        """Stop watching a descriptor. Call this before you close the descriptor. Otherwise the epoll set would keep it
-        if another process has a duplicate of it."""
+        """Stop watching a descriptor. Call this before you close it, because the epoll set keeps it while another
+        process has a duplicate."""
         self._epoll.unregister(fd)
 
     def readable(self, fd: int) -> bool:

@@ -26,8 +26,8 @@ the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """Return how long the port owner and the stopper go on after the supervisor's death. It is long enough for the
-    board to receive the last repeat of the stop."""
+    """Return how long the port owner and the stopper go on after the supervisor's death, in ns. The board receives the
+    last repeat of the stop in this time."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
@@ -39,13 +39,12 @@ process that watches it. Line 0 is the supervisor's."""
 
 
 class Parent:
-    """Watches the supervisor, and receives the ports that the supervisor sends. When the supervisor dies, the process
-    that has this object stops the robot and exits soon afterwards."""
+    """Watches the supervisor, and receives the ports that it sends. When the supervisor dies, this process stops the
+    robot and exits soon afterwards."""
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
-        """`line`: the line of the supervisor's block of futexes on which to wait (see _LINE). `port`: the port to
-        which this process writes its stops. `early`: True if the stop for the supervisor's death is written at once, by
-        the thread that waits for the death."""
+        """`line`: the line of the supervisor's futexes on which to wait (see _LINE). `port`: the port for this
+        process's stops. `early`: True if the thread that waits for the supervisor's death writes a stop at once."""
         self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
@@ -58,21 +57,21 @@ class Parent:
             loop.watch(fd, READ)
 
     def died(self, ready: dict[int, int]) -> bool:
-        """Return True if this wake-up, or an early report before it, says that the supervisor has died. After drop(),
-        return False."""
+        """Return True if the supervisor has died, as this wake-up or an early report before it shows. False after
+        drop()."""
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:
-        """Stop watching the supervisor, because the stop for its death was written. leave() returns True once the
-        repeats of that stop are out."""
+        """Stop watching the supervisor. Call it when the stop for its death was written. leave() then says when to
+        exit."""
         self.orphaned_ns = now_ns
         self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """Return True when it is time to exit, because the repeats have been sent. While the port still holds some of
-        their bytes, the process goes on, but at most until LATEST_NS after the supervisor's death."""
+        """Return True when it is time to exit: after the stop's repeats have left the port, but at most LATEST_NS after
+        the supervisor's death."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -103,9 +102,8 @@ class Peer:
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
-        """Watch the process whose pid the supervisor publishes. Its pidfd is watched at once, and its futex as soon as
-        the process reports that it runs. Returns the pid of the previous process if that one has died unnoticed,
-        otherwise 0."""
+        """Watch the process whose pid the supervisor publishes: its pidfd at once, and its futex as soon as it reports
+        that it runs. Returns the pid of the previous process if its death was not noticed, otherwise 0."""
         named = self._word.get()
         pid, block = records.unpack_life(named)
         died = 0
@@ -123,18 +121,18 @@ class Peer:
         return died
 
     def _stop_early(self, pid: int) -> None:
-        """Write the stop for the death of the process `pid`, in the thread that waits for this death. Nothing is
-        written if the supervisor has already published the next process. By then the robot was stopped for the death,
-        and motion may have been enabled since. A thread that was held up must not stop that motion."""
+        """Write the stop for the death of the process `pid`, in the thread that waits for this death. A thread that was
+        held up may come too late. So nothing is written if the supervisor has already published the next process,
+        because motion may have been enabled since."""
         if self.named() == pid:
             self._stop()
 
     def runs(self) -> bool:
-        """Return True from the time when the process reports that it runs, until the stop for its death was written."""
+        """Return True from the time when the process reports that it runs, until drop()."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
-        """Return the pid of the process if this wake-up, or an early report before it, says that it has died; otherwise
+        """Return the pid of the process if it has died, as this wake-up or an early report before it shows; otherwise
         0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
 

@@ -1,6 +1,6 @@
 """Rights: what a process requests from the kernel for itself. It asks for real-time scheduling, locked memory and
-enough open files. It also asks the kernel to kill it when its parent dies, and to end it at once when it crashes or
-when it loops endlessly."""
+enough open files. It also asks to be killed when its parent dies or when it loops endlessly, and to leave no dump when
+it crashes."""
 
 from __future__ import annotations
 
@@ -53,8 +53,7 @@ def die_with_parent(parent_pid: int) -> None:
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[bool]:
     """Ask the kernel for SCHED_FIFO at `priority` for the length of the `with` block. Yields True if the kernel has
-    granted it. The only way to find out is to ask, because a container or a control group may refuse what the limits
-    and capabilities allow."""
+    granted it. Don't check limits and capabilities instead, because a container or a control group may still refuse."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -69,15 +68,12 @@ def realtime(priority: int) -> Iterator[bool]:
 
 
 def request_rights(priority: int) -> int:
-    """Ask for SCHED_FIFO at `priority` and for locked memory. Returns what this process has, as bits of its heartbeat
-    (REALTIME, MEMORY_LOCKED, EARLY_NEWS). EARLY_NEWS means that the kernel reports deaths early, which some kernels
-    don't.
+    """Ask for SCHED_FIFO at `priority` and for locked memory. Returns what this process has, as bits of its heartbeat:
+    REALTIME, MEMORY_LOCKED, and EARLY_NEWS if the kernel reports deaths early.
 
-    Processes that this process starts begin without real-time rights. So when a process is restarted, its imports don't
-    delay the ticks of the other processes.
-
-    A process that crashes leaves no dump. The limit that ends an endless loop (LOOP_US) applies only after settle(),
-    because a start takes longer than any turn.
+    Child processes begin without real-time rights, so the imports of a restarted process don't delay the ticks of the
+    others. A process that crashes leaves no dump. The limit for endless loops (LOOP_US) begins with settle(), because a
+    start takes longer than any turn.
 
     Memory is locked only when it is first used (MCL_ONFAULT). Locking all of it would double the resident size, and
     with it the time that the kernel needs to report this process's death.
@@ -97,7 +93,7 @@ def request_rights(priority: int) -> int:
 
 def settle(loop_us: int = LOOP_US) -> None:
     """End the start-up. Collect garbage once, and turn the collector off, so that only reference counting frees memory.
-    From now on, the kernel kills the process if it runs for `loop_us` without a pause."""
+    From now on, the kernel kills the process if it runs at real-time priority for `loop_us` without a pause."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -105,8 +101,8 @@ def settle(loop_us: int = LOOP_US) -> None:
 
 
 def _limit(which: int, soft: int | None) -> None:
-    """Set a soft limit to `soft`, or to the hard limit if that is lower. None sets it to the hard limit. The hard limit
-    stays, so processes that are started from this one may set their own."""
+    """Set a soft limit to `soft`, or to the hard limit if that is lower or if `soft` is None. The hard limit stays, so
+    child processes may set their own."""
     _, hard = resource.getrlimit(which)
     if soft is None or 0 <= hard < soft:
         soft = hard
@@ -115,9 +111,9 @@ def _limit(which: int, soft: int | None) -> None:
 
 
 def raise_limits() -> None:
-    """Make sure that this process and its child processes can open DESCRIPTORS files and have STACK_BYTES of stack. If
-    the stack were too small, a process would be killed by SIGSEGV without a message as soon as it needs more. Soft
-    limits that are too low are raised. Raises OSError if a hard limit is too low."""
+    """Make sure that this process and its child processes can open DESCRIPTORS files and have STACK_BYTES of stack.
+    With too small a stack, SIGSEGV would kill a process without a message. Raises OSError if a hard limit is too
+    low."""
     needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
     for which, least, remedy in needed:
         soft, hard = resource.getrlimit(which)

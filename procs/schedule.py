@@ -1,13 +1,13 @@
 """Schedule: when to write the frames that are sent at set times: repeats of a stop, zeros, and pings. Pure.
 
-After a cause, the burst is repeated at times that suit the board, in case the board lost the first one. While the robot
+After a stop, the burst is repeated at times that suit the board, in case the board lost the first one. While the robot
 is stopped, a zero frame is written every 0.2 s, so that a board that restarts or wakes up soon gets a stop.
 
 Pings check that the board hears. They are written right after each stop, and otherwise once per period. The board
-handles frames in order. So if it answers a ping that was written after a stop, it was receiving correctly when the stop
-arrived. A board has a few different pings, and each is sent again and again. An answer shows which of the pings it
-belongs to, but not which sending of that ping. So the order of the pings is random. After a loss, the answers then soon
-show how many were lost (board/handled.py).
+handles frames in order, so the answer to a ping after a stop proves that the board was receiving when the stop arrived.
+
+A board has a few different pings, and each is sent again and again. An answer shows the ping, but not which sending of
+it. The order of the pings is random, so that after a loss the answers soon show how many were lost (board/handled.py).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Repeats:
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
-        written. If the last repeat comes at that time or later, `zero_ns` counts from the last repeat. Each process
-        that writes stops has its own times."""
+        written. It counts from the last repeat if that repeat comes no earlier. Each process that writes stops has its
+        own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -49,13 +49,13 @@ class Repeats:
         self._due.set(*(now_ns + after for after in self._after_ns))
 
     def end(self) -> None:
-        """Write nothing until the next stop, because a repeat would interrupt motion that this process or another one
-        has started."""
+        """Write nothing until the next stop. Call it when motion has started, because a repeat would interrupt the
+        motion."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
-        """Postpone the next repeat to `until_ns` if it is due earlier. Otherwise, after a stall, several repeats would
-        be due at once, and garble each other."""
+        """Postpone the next repeat to `until_ns` if it is due earlier. After a stall, several repeats would otherwise
+        be due at once and garble each other."""
         self._due.wait(until_ns)
 
     def pop(self, now_ns: int) -> int:
@@ -74,9 +74,9 @@ class Pings:
     """Decides when to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has. If it is 0, `due` stays due, so it must not be a timer
-        of a loop, which would never sleep. `period_ns`: the usual time between two pings. `quick`: how many pings are
-        sent in quick succession at first."""
+        """`count`: how many different pings the board has. With 0, `due` must not be a timer of a loop, because it
+        stays due. `period_ns`: the usual time between two pings. `quick`: how many pings are sent in quick succession
+        at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
@@ -88,8 +88,8 @@ class Pings:
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
-        """Plan a ping soon after a stop that was just written, to find out whether the board heard it. A few more pings
-        follow quickly."""
+        """Plan a ping soon after a stop that was just written, and a few more quickly after it, to find out whether the
+        board heard the stop."""
         self._quick = max(self._quick, AGAIN_AFTER_STOP)
         self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
@@ -105,7 +105,7 @@ class Pings:
         self._before, self.index = self.index, self._drawn()
 
     def _drawn(self) -> int:
-        """Return a random index. It is never the same three times in a row."""
+        """Return a random index. With several pings, it is never the same three times in a row."""
         mixed = self._mixed  # Marsaglia's xorshift, because `random` would cost memory
         mixed ^= mixed << 13 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 7
@@ -115,8 +115,7 @@ class Pings:
 
     def opened(self, hears_ns: int) -> None:
         """Begin again with quick pings, because another port was opened. One answer is not enough, because it may seem
-        to answer a ping that was lost with the previous port. `hears_ns`: the time from which the board at the new port
-        can receive bytes."""
+        to answer a ping to the previous port. `hears_ns`: when the board at the new port begins to receive bytes."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 

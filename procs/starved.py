@@ -10,9 +10,9 @@ is only used after a deadline has passed.
 | T, t, Z, X: stopped or dead      | any                           | hangs                                      |
 | unknown: nothing can be read     | any                           | hangs: an unknown state excuses nothing    |
 
-A healthy turn needs less processor time than half of the deadline. If the process sleeps, its bell is rung and its
-state is read once more. The reason is that a timer may come late while a virtual machine has lost its core, but a bell
-wakes the process at once.
+A healthy turn needs less processor time than half of the deadline. If the process sleeps, its bell is rung before its
+state is read again. A timer may come late while a virtual machine has lost its core, but a bell wakes the process at
+once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """Return True if the silent process is starved. `bell`: the bell that wakes it. This takes about 20 us."""
+    """Return True if the silent process `pid` is starved. `bell`: wakes the process if it sleeps. This takes about 20
+    us."""
     try:
         # If a starting process has not beaten yet, this value is still from the process before it.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0

@@ -12,15 +12,14 @@ if TYPE_CHECKING:
 
 
 class WheelServos:
-    """Answers whether motion must wait for a wheel's servo. If no servos turn this robot's wheels, it reads no reports,
-    so it costs nothing."""
+    """Checks whether motion must wait for a wheel's servo. Costs nothing if no servos turn this robot's wheels."""
 
     def __init__(self, settings: Settings, health: LatestReader) -> None:
         self._settings = settings
         self._health = health if servos.turn_wheels(settings) else None
 
     def waited_for(self) -> str:
-        """Return the wheel that motion must wait for because its servo does not answer. Empty if motion need not
-        wait."""
+        """Return what motion must wait for, as text, if a wheel's servo does not answer. Otherwise return an empty
+        text."""
         report = self._health.read() if self._health else None
         return servos.waited_for(records.HEALTH.unpack(report[2]), self._settings) if report else ""

@@ -1,10 +1,10 @@
-"""Bells wake processes. A loop can wait for several bells, and for other descriptors, in one epoll set. A bell carries
-no data. It only tells a process to look at the shared memory. If a ring is lost, the process looks a little later, at
-the next tick of its loop, so nothing is missed.
+"""Bells wake processes. A bell carries no data. It only tells a process to look at the shared memory. If a ring is
+lost, the process looks at the next tick of its loop. A loop can wait for several bells and other descriptors in one
+epoll set.
 
 An EventBell (an eventfd) is for the service's own processes, which inherit it. A pipe (a FIFO in the runtime directory)
-is for clients. Each byte in the pipe is the number of the slot to look at, but this is only a hint: any byte rings the
-bell.
+is for clients. Each byte in the pipe is the number of the slot to look at. This number is only a hint, because any byte
+rings the bell.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class EventBell:
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake the process that waits for this bell. If the eventfd's counter is full, the bell is still ringing, so
-        nothing needs to be written."""
+        """Wake the process that waits for this bell. Never blocks: if the eventfd's counter is full, the bell is still
+        ringing."""
         # Not contextlib.suppress, because it costs more than the call itself. The same applies to clear().
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
@@ -64,20 +64,20 @@ def make_pipe(path: str, mode: int, gid: int = -1) -> None:
 
 
 def open_pipe(path: str) -> int:
-    """Open the service's end of a FIFO. The FIFO is opened for reading and writing, because otherwise the service would
-    read an end of file when the last client leaves."""
+    """Open the service's end of a FIFO, for reading and writing. A FIFO that is open only for reading reads an end of
+    file when the last client leaves."""
     return place.opened(path, os.O_RDWR, pipe=True)
 
 
 def open_pipe_to_write(path: str) -> int:
-    """Open a client's end of a FIFO. If no service runs, raises FileNotFoundError, or an OSError with ENXIO. May also
-    raise place.Untrusted or another OSError."""
+    """Open a client's end of a FIFO. Raises FileNotFoundError, or OSError with ENXIO, if no service runs. Also raises
+    place.Untrusted and other OSErrors."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write `data`, at most PIPE_BUF bytes, completely or not at all. Returns False if the pipe is full. A full pipe
-    already rings the bell, so the service still wakes up. Raises BrokenPipeError if the service is gone."""
+    """Write at most PIPE_BUF bytes, completely or not at all. Returns False if the pipe is full, which wakes the
+    service anyway. Raises BrokenPipeError if the service is gone, or another OSError."""
     try:
         os.write(fd, data)
     except BlockingIOError:

@@ -2,18 +2,19 @@
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
-The CRC covers the length, seq, t_mono_ns and payload. The CRC is seeded with the record's name and the run's
-incarnation, so bytes of a different record, or of a dead run, never pass the check.
+The CRC covers the length, seq, t_mono_ns and payload. It is seeded with the record's name and the run's incarnation, so
+bytes of a different record or of a dead run never pass the check.
 
 To write a cell: (1) build the whole cell privately, (2) pass a barrier, (3) store it with ONE slice assignment.
 To read a cell: (1) take ONE slice copy, (2) check the private copy, (3) use only the private copy.
 
 A reader may copy a mixture of old and new bytes, for example if the writer dies in the middle of a write. The CRC of
-the private copy then shows the damage. So a reader never accepts a damaged value, in whatever order the processor loads
-and stores the bytes. Never use `struct.pack_into` on shared memory: it writes zeros first, and a reader would see them.
+the copy shows this, in whatever order the processor loads and stores the bytes. Never use `struct.pack_into` on shared
+memory: it writes zeros first, and a reader would see them.
 
 A Latest record consists of two cells that are written in turn. The newest whole cell has the record's value. A Ring
-record is a stream of entries, one in each cell."""
+record is a stream of entries, one in each cell.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +46,7 @@ if TYPE_CHECKING:
 
 
 class FileView:
-    """A file that is used like memory, through pread and pwrite. It is for files that clients may write. The service
-    maps only files that no other program can write.
+    """A file that is used like memory, through pread and pwrite. Use it for all files that clients may write.
 
     If a client truncates the file, a read returns too few bytes, and check() rejects them. If the file were mapped, a
     SIGBUS would kill the reader.
@@ -119,16 +119,14 @@ class _Cells:
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """The numbers of all whole entries, from one copy of the record. Too slow for frequent use, although it skips
-        empty cells quickly."""
+        """The numbers of all whole entries, from one copy of the record. Too slow for frequent use."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
         seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
         return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
 
 
 class LatestReader(_Cells):
-    """Reads the newest whole value of a record. If the bytes are the same as at the previous read, they are not checked
-    again, and the read takes only a third of the time."""
+    """Reads the newest whole value of a record. Reading an unchanged record takes only a third of the time."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
@@ -162,9 +160,8 @@ class LatestReader(_Cells):
 
 
 class _Writer(_Cells):
-    """The only writer of a record. If the writing process dies, the process that replaces it continues after the newest
-    whole entry. If the dead process has left a half-written cell, the new one overwrites this cell, so the newest whole
-    entry stays readable."""
+    """The only writer of a record. A writer that replaces a dead one continues after the newest whole entry. It
+    overwrites a half-written cell, so the newest whole entry stays readable."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
@@ -173,8 +170,7 @@ class _Writer(_Cells):
         """The number of the newest entry, or 0 if the record has none."""
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Publish an entry and return its number. Raises PayloadTooLarge and publishes nothing if the payload is too
-        large."""
+        """Publish an entry and return its number. Raises PayloadTooLarge, and then publishes nothing."""
         seq = self.seq + 1
         data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
         at = self._slice(seq).start
@@ -185,16 +181,15 @@ class _Writer(_Cells):
 
 
 class LatestWriter(_Writer):
-    """Publishes the values of a Latest record, of which a reader needs only the newest value."""
+    """Publishes the values of a Latest record. Readers need only the newest value."""
 
     write = _Writer.put
 
 
 class RingWriter(_Writer):
     """Appends entries in order, for any number of readers. Entry `n` is in cell `n % cells`. The writer and the readers
-    share no head, no tail and no lock, and no reader stores anything in shared memory. A barrier comes before each
-    entry. So a reader that sees an entry also sees everything that the writer stored earlier, for example all earlier
-    entries."""
+    share no head, no tail and no lock, and no reader stores anything in shared memory. A reader that sees an entry also
+    sees everything that the writer stored before it."""
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
         """Publish bytes of any length, split into as many entries as needed."""
@@ -209,11 +204,9 @@ class RingReader(_Cells):
 
         seq is n                       -> the copy is entry n
         seq is below n, or never used  -> entry n is not published yet
-        seq is above n                 -> the writer has overwritten entry n, so the reader continues with the oldest
-                                          entry that can still be whole
-        the copy is not whole          -> entry n is being written, or it is damaged. If any later entry is whole,
-                                          entry n is gone for good, so the reader continues with the oldest whole
-                                          entry after entry n
+        seq is above n                 -> entry n is overwritten. Continue with the oldest entry that can be whole
+        the copy is not whole          -> entry n is being written, or it is damaged. If a later entry is whole, entry n
+                                          is lost. Continue with the oldest whole entry after entry n
     """
 
     def __init__(
@@ -275,11 +268,11 @@ class RingReader(_Cells):
         self._await(seq)
 
     def _pass_damage(self) -> bool:
-        """Handle a damaged cell. Returns False if the next entry may still be written to the cell, so the reader must
-        wait. Returns True if the reader must look again, because the cell was skipped or may be whole by now.
+        """Skip a damaged cell if a later entry is whole. Returns False if the reader must wait, because the next entry
+        may still be written to the cell. Returns True if the reader must look again.
 
-        If damaged cells were not skipped, one damaged cell would block the reader until the writer has gone once around
-        the ring. Until then the reader would not see the stops in the cells after the damaged one.
+        Otherwise one damaged cell would hide the stops in the cells after it, until the writer has gone once around the
+        ring.
         """
         later = [seq for seq in self._whole() if seq > self._next]
         if not later:

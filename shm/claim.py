@@ -1,10 +1,10 @@
-"""Claims: locks on single bytes of a file, which show which process holds which slot. They are open-file-description
+"""Claims: locks on single bytes of a file. They show which process holds which slot. They are open-file-description
 record locks.
 
-When the last descriptor of the lock's holder is closed, the kernel drops the lock. So a crash leaves no lock behind. If
-the holder forks, the child has the lock too until it calls exec, so a child may keep the lock after the holder has
-died. The content of the file means nothing. A classic POSIX lock would not do, because it is lost as soon as any thread
-or library of the process closes the same file."""
+The kernel drops a lock when its holder's last descriptor is closed, so a crash leaves no lock behind. A forked child
+shares the lock until it calls exec, so the child may keep the lock after the holder has died. The content of the file
+means nothing. Classic POSIX locks would not do: a process loses them as soon as any of its code closes the same file.
+"""
 
 from __future__ import annotations
 

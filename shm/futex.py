@@ -75,9 +75,9 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Duplicate the descriptor of the file, so that the caller may close `fd` at any time. Without the duplicate,
-        the number of the closed `fd` might be given to a different file, and a thread that is about to hold this futex
-        would write to that file. Call this at most once. Raises OSError."""
+        """Duplicate the descriptor of the file, so that the caller may close `fd` at any time. Otherwise a thread that
+        is about to hold this futex could write to a different file that has got the number of `fd`. Call this at most
+        once. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 
@@ -88,9 +88,9 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the kernel report the death of the calling thread. The report goes to `lines` lines, beginning with this
-        futex. The kernel uses the memory of the returned object, so keep the object until the thread ends or calls
-        let_go(). Returns None if the kernel can't report deaths. Raises OSError."""
+        """Let the kernel report the death of the calling thread in `lines` lines, beginning with this futex. Keep the
+        returned object until the thread ends or calls let_go(), because the kernel uses its memory. Returns None if the
+        kernel can't report deaths. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -117,8 +117,8 @@ class Futex:
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
         """Block until the thread that holds the futex has died. Returns False if no thread holds the futex, if the
-        holder has let go of it, or if `wanted` returns False. `wanted` is called after each wake(). The other threads
-        of this process keep running meanwhile."""
+        holder lets go of it, or if `wanted` returns False. `wanted` is called first, and again after each wake(). Other
+        threads keep running."""
         value = held = self._value()
         while wanted():
             if value != held or not held & _OWNER:
@@ -153,8 +153,7 @@ def let_go() -> None:
 
 
 def leave_no_dump() -> None:
-    """Disable core dumps for this process. A dying process keeps its futexes until its dump is written, so a dump would
-    delay the report of its death."""
+    """Disable core dumps for this process. Writing a dump would delay the report of its death."""
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (min(hard, NO_DUMP) if hard >= 0 else NO_DUMP, hard))

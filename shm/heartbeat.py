@@ -62,7 +62,7 @@ class Heartbeat:
 
     def state(self, state: int, now_ns: int) -> None:
         """Publish the state BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING, and beat. The time since the previous beat
-        does not count for `worst_ns` (the longest silence), because a start may take long."""
+        does not count for `worst_ns`, the longest silence."""
         self.last_ns = now_ns
         self.beat(now_ns)
         self._words.state.set(state)

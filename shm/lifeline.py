@@ -3,8 +3,8 @@ descriptors.
 
 Each death is reported twice, and one report is enough. The early report comes from a robust futex that the process
 holds (futex.py). A thread waits for it, marks the lifeline as dead and rings a bell. The late report comes from a
-pidfd. The watched process can't prevent the late report. Even if another process gets the same pid, the pidfd still
-means the watched process. Neither report shows that a process hangs; heartbeats show that (heartbeat.py).
+pidfd. The watched process can't prevent the late report, and another process with the same pid can't cause it. A hang
+shows only in the heartbeat (heartbeat.py).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _WAY_S = 30e-6
 
 
 def give_way() -> None:
-    """Sleep for a moment after a stop was written, so that its bytes leave the computer. For a pty and for some
-    drivers, a kernel thread of lower priority sends the bytes, and it may be waiting for this processor core."""
+    """Sleep for a moment after a stop was written, so that its bytes leave the computer. With a pty and some drivers, a
+    kernel thread of lower priority sends the bytes, and it may need this processor core."""
     sleep(_WAY_S)
 
 
@@ -80,17 +80,16 @@ class Lifeline:
         return bool(poll.poll(timeout_s * 1000))
 
     def kill(self) -> None:
-        """Send SIGKILL to the watched process. Even if a different process has got the same pid by now, that process is
-        not killed."""
+        """Send SIGKILL to the watched process, and never to a different process with the same pid."""
         with contextlib.suppress(OSError):
             _signal.pidfd_send_signal(self.fd, _SIGKILL)
 
     def demote(self) -> None:
         """Take real-time priority from every thread of the dying process. Call this after the stop was written.
 
-        The kernel needs half a millisecond or more to free the dying process's memory. If it did this at real-time
-        priority, other kernel threads could not use the same core meanwhile, and one of them may be sending the stop's
-        bytes."""
+        The kernel needs half a millisecond or more to free the process's memory. At real-time priority, this would hold
+        up other kernel threads on the same core, and one of them may be sending the stop's bytes.
+        """
         with contextlib.suppress(OSError):
             for thread in os.listdir(f"/proc/{self.pid}/task"):
                 with contextlib.suppress(OSError):
@@ -121,14 +120,13 @@ class EarlyNews:
         self.watch(life, self._lifelines, block * futex.PER_BLOCK + watcher, stop, dying)
 
     def watch(self, life: Lifeline, segment: Segment, line: int = 0, stop: Stops = None, dying: int = 0) -> None:
-        """Start a thread that waits until the process that holds the futex line `line` dies. Only one thread is started
-        for each lifeline. The thread ends when the lifeline is closed.
+        """Start a thread that waits for the death of the process that holds the futex line `line`. Each lifeline gets
+        only one thread, which ends when the lifeline is closed.
 
-        `stop`: the thread calls this when the process has died. Then the thread demotes the dying process, sleeps for a
-        moment, so that the stop's bytes leave the computer, and rings the bell. `dying`: the priority of the watched
-        process. If this process has real-time rights, a thread with a `stop` gets a priority above `dying`. With a
-        lower priority, on a computer with one core, the thread would wait until the kernel has freed the dying
-        process's memory.
+        `stop`: the thread calls this when the process has died. Then the thread demotes the dying process, calls
+        give_way() and rings the bell. `dying`: the priority of the watched process. If this process has real-time
+        rights, a thread with a `stop` gets a priority above `dying`. Otherwise, on a single core, the thread would wait
+        until the kernel has freed the dying process's memory.
         """
         if not life.watched:
             life.watched = True

@@ -18,8 +18,8 @@ versions of failstop recognise each other by this cell."""
 
 
 class Record(Data):
-    """One record of a segment: its kind (word, latest, ring or futexes), its name, the processes that read it, its
-    payload capacity in bytes, and the number of its cells (for a ring)."""
+    """One record of a segment. `kind`: word, latest, ring or futexes. `readers`: the processes that read the record.
+    `capacity`: the payload of one cell in bytes, or for futexes the size of the whole record. `cells`: 2 for latest."""
 
     kind: str
     name: str
@@ -55,8 +55,7 @@ class SegmentSpec:
 
 class Segment:
     """A segment as this process reads or writes it. Most segments are mapped into memory. The client slots and the
-    lifelines are not mapped, because another process could truncate their files. They are accessed through pread and
-    pwrite."""
+    lifelines are accessed through pread and pwrite, because another process could truncate their files."""
 
     def __init__(self, spec: SegmentSpec, incarnation: int, mapped: mmap.mmap | None = None, fd: int = -1) -> None:
         self.spec = spec
@@ -87,8 +86,7 @@ class Segment:
         return LatestReader(*self._cells(name, "latest"))
 
     def latest_writer(self, name: str) -> LatestWriter:
-        """The writer of a Latest record. Only the process that the specification names as the segment's writer may call
-        this."""
+        """The writer of a Latest record. Only the segment's one writer (SegmentSpec.writer) may call this."""
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
@@ -97,13 +95,13 @@ class Segment:
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
-        """The writer of a Ring record. Only the process that the specification names as the segment's writer may call
-        this."""
+        """The writer of a Ring record. Only the segment's one writer (SegmentSpec.writer) may call this."""
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
         """The futex in one line of a record of futexes. `write`: True if a thread of this process will hold the futex,
-        False if threads will only wait for the holder's death. Works only in unmapped segments. Raises OSError."""
+        False if threads only wait for the holder's death. Raises TypeError if the segment is mapped, IndexError for a
+        line that does not exist, and OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -112,8 +110,8 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty this client's slot, except for the record of goodbyes. A client that exits cleanly writes a goodbye. If
-        this goodbye were erased before the gate has read it, the gate would take the clean exit for a death."""
+        """Empty this client's slot, except for the record of goodbyes. If a goodbye were erased before the gate has
+        read it, the gate would take a clean exit for a death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 

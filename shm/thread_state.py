@@ -1,4 +1,4 @@
-"""Thread state: what the kernel reports about the main thread of a process. The main thread is the one that writes the
+"""Thread state: the state of a process's main thread, as the kernel reports it. The main thread writes the
 heartbeat."""
 
 

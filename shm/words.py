@@ -1,10 +1,10 @@
-"""Words and barriers. A word is a single aligned u64 value with one writer. It is alone in a 64-byte line. A barrier
-keeps loads and stores of words and cells in order.
+"""Words and barriers. A word is one aligned u64 value with one writer, alone in a 64-byte line. A barrier keeps loads
+and stores of words and cells in order.
 
-A load or store of a word (through a memoryview cast to 'Q') is a single machine access. So a reader sees either the old
-or the new value and never a mixture. If several values belong together, put them in one cell, not in several words. If
-a writer stores two words, a reader may see the second change before the first. To prevent this, the writer must pass a
-barrier between its two stores, and the reader must pass one between its two loads.
+A load or store of a word (through a memoryview cast to 'Q') is a single machine access, so a reader never sees a
+mixture of two values. Put values that belong together in one cell, not in several words. A reader may see the second of
+two stores before the first. To prevent this, the writer must pass a barrier between its two stores, and the reader must
+pass one between its two loads.
 """
 
 from __future__ import annotations
@@ -26,21 +26,20 @@ class Word:
         return self._words[self._index]
 
     def set(self, value: int) -> None:
-        """Store a value. Only the process that the layout names as the word's writer may do this. Raises ValueError
-        outside 0..2**64-1."""
+        """Store a value. Only the word's one writer (messages/layout.py) may call this. Raises ValueError outside
+        0..2**64-1."""
         self._words[self._index] = value
 
 
 class Barrier:
-    """A full memory fence. For all other threads, this thread's loads and stores before the barrier happen before its
-    loads and stores after the barrier. Each thread needs its own Barrier object. A call takes 0.2 us and no memory.
+    """A full memory fence. For all other threads, this thread's loads and stores before a call happen before those
+    after the call. Each thread needs its own Barrier object. A call takes 0.2 us and no memory.
 
-    A barrier is needed because words and cells are read and written with plain loads and stores. AArch64 may reorder
-    these, and x86-64 lets a load pass an earlier store. No library gives Python a fence, so this class makes one from a
-    lock. Releasing a lock is a store-release, and acquiring it is a load-acquire. No load-acquire passes an earlier
-    store-release. The Barrier object always holds its lock, and a call releases the lock and acquires it again. The
-    other order (acquire, then release) would be no barrier: accesses before it could move behind the acquire, and
-    accesses after it could move before the release.
+    Words and cells are read and written with plain loads and stores. AArch64 may reorder these, and x86-64 lets a load
+    pass an earlier store. No library gives Python a fence, so this class makes one from a lock, which it always holds.
+    A call releases the lock (a store-release) and acquires it again (a load-acquire), and no load-acquire passes an
+    earlier store-release. The other order would be no barrier, because accesses from both sides could move between the
+    acquire and the release.
 
     The folder model/aarch64 lists the pairs of accesses that need a barrier, with a litmus test for each.
     """

@@ -103,8 +103,8 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the next saver. Do nothing while MOST_SAVERS are running, or if the saver is late and the robot may
-        move (ON_TIME_NS). Give up a saver that is much too late (GIVE_UP_NS)."""
+        """Start the next saver, unless MOST_SAVERS are running. A late saver (ON_TIME_NS) waits while the robot may
+        move. A saver that is much too late (GIVE_UP_NS) is given up."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
@@ -119,9 +119,9 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """If an earlier run did not end cleanly, start a saver for it. The saver is started now, because later its
-        start could stop a robot that moves. But it saves nothing until the current run is ready, so that it does not
-        slow down the start of the service."""
+        """Start a saver for an earlier run that did not end cleanly. The saver waits until the current run is ready, so
+        that it does not slow down the start of the service. Do not start it later, because that could stop a robot that
+        moves."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
@@ -182,8 +182,8 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Start the savers that are not started yet, until MOST_SAVERS are running. Then wait for all savers, for at
-        most FINISH_S in total. Called at the end of the service, after the last burst."""
+        """Start the savers that still wait, up to MOST_SAVERS, and then wait at most FINISH_S for all of them. Called
+        at the end of the service, after the last burst."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

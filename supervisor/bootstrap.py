@@ -1,9 +1,8 @@
 """The script that starts every process of the service: `python -I -S bootstrap.py PROCESS key=value ...`.
 
 The supervisor runs this script for each of its children, and `failstop run` runs it for the supervisor. The option -S
-leaves out Python's site module. In a small process, the site module would take longer than all other imports together.
-Without the site module, Python does not find every package, so the starting process passes its own search path in an
-environment variable.
+leaves out Python's site module, which in a small process takes longer than all other imports together. Python then does
+not find every package, so the starting process passes its own search path in an environment variable.
 """
 
 from __future__ import annotations
@@ -43,9 +42,8 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """End this process at once, as if it had been killed, because a normal exit of the interpreter would take 5 ms, and
-    the robot would be stopped 5 ms later. Before that, print the error with a traceback without source lines, but only
-    if stderr can accept it at once."""
+    """Print the error, with a traceback without source lines, and end this process at once. A normal exit of the
+    interpreter would take 5 ms, and delay the stop by as much. Prints nothing if stderr can't accept it at once."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

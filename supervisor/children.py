@@ -56,8 +56,8 @@ ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
 class Fence(Data):
-    """How a process was killed because it was silent for too long, and what followed. Times are CLOCK_MONOTONIC in ns;
-    0 means that the step has not happened."""
+    """The kill of a process that was silent for too long, step by step. Times are CLOCK_MONOTONIC in ns; 0 means that
+    the step has not happened."""
 
     noticed_ns: int
     kill_ns: int
@@ -83,7 +83,8 @@ class Fence(Data):
         return f"{name} was fenced: {', '.join(f'{told} after {us / 1e3:.1f} ms' for _, told, us in self._steps_us())}"
 
     def fields(self) -> dict[str, float]:
-        """The steps as fields for programs. Each time is in us, counted from the moment when the hang was noticed."""
+        """The length of the silence in ms, and the steps in us from the moment when the hang was noticed, as fields for
+        programs."""
         return {"silent_ms": round(self.silent_ns / 1e6, 1), **{f"{step}_us": us for step, _, us in self._steps_us()}}
 
 
@@ -92,9 +93,8 @@ class Child:
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
         """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
-        `settings`: the settings, with the lease (gate.lease_s). If the lease is longer than the deadline in the row,
-        the lease is this process's deadline, because such a lease is set on a machine that is too slow for the row's
-        deadline."""
+        `settings`: a lease (gate.lease_s) that is longer than the deadline in the row replaces this deadline. Such a
+        lease is set on a machine that is too slow for the row's deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
@@ -146,9 +146,9 @@ class Child:
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """Record a death, and return how long to wait before the restart, ns. Only the deaths in the last
-        restart.window_s count. If this is the first of them, the wait is 0. For the second it is restart.backoff_s, and
-        each further death doubles it, up to LONGEST_WAIT_NS. Returns None once there are restart.deaths of them. Then
-        the caller leaves the process down, because it would probably crash again and again."""
+        restart.window_s count. The wait is 0 after the first death, restart.backoff_s after the second, and doubles
+        with each further death, up to LONGEST_WAIT_NS. Returns None from the restart.deaths-th death on, and then the
+        process must stay down."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -161,8 +161,7 @@ class Child:
         self.on(RECALLED)
 
     def running(self) -> bool:
-        """True if the process has reported that it runs. It also counts as running while the machine gives it no
-        processor time."""
+        """True if the process has reported that it runs, even while the machine gives it no processor time."""
         return self.state in (RUNNING, HUNG)
 
     def heard_ns(self) -> int:
@@ -173,16 +172,15 @@ class Child:
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
-        """Excuse a silence, because the machine did not run the process. The process may then be silent for
-        allowed_ns() once more, counted from `now_ns`. `silent_ns`: how long the process had been silent when the
-        supervisor looked. It may have beaten since then."""
+        """Excuse a silence of `silent_ns`, because the machine did not run the process. From `now_ns` on, the process
+        may be silent for allowed_ns() once more. It may have beaten since the silence was measured."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """If the process beats again after an excused silence, return the length of the silence in ns, but only once.
-        Otherwise return 0."""
+        """Return the length of an excused silence, ns, when the process beats again. Returns it only once, otherwise
+        0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
             self._spared_ns = 0
@@ -190,8 +188,8 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """The time when the process's silence becomes too long, unless the process beats before. A process that is
-        starting must have reported by then that it runs. NEVER if no beat is expected."""
+        """The time by which the process must beat, or report that it runs if it is starting. NEVER if no beat is
+        expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns

@@ -55,9 +55,9 @@ def start(words: dict[str, str]) -> int:
 
 
 def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
-    """Create the supervisor of a run, and then publish the run's name. Clients read the supervisor's heartbeat and
-    process table as soon as they find the name, so both must exist first. If this fails, the run is removed, and the
-    error is raised again."""
+    """Create the supervisor of a run, and then publish the run's name. The order matters: clients read the supervisor's
+    heartbeat and process table as soon as they find the name. After any error, removes the run and raises the error
+    again."""
     try:
         supervisor = Supervisor(run, port, notify)
         run.publish(kept.pack_stop(port.board))
@@ -86,10 +86,10 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _keep_descriptors(lock: int, port: int) -> int:
-    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. Then duplicate the lock and
-    the port. Their new numbers are small, because select() can't use a number above 1023. The supervisor's children
-    don't inherit the lock, and they inherit the port only if the supervisor passes it on. The lock stays open as long
-    as this process lives. Returns the new number of the port."""
+    """Close all inherited descriptors except stdin, stdout, stderr, the lock and the port. Give the lock and the port
+    small numbers, because select() can't use a number above 1023. The supervisor's children don't inherit the lock, and
+    inherit the port only if the supervisor passes it on. The lock stays open until this process ends. Returns the
+    port's new number."""
     with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
             with contextlib.suppress(OSError):  # the descriptor of the listing itself

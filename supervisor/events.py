@@ -55,9 +55,9 @@ AFTER_UNIT = ".,;:!?)]'\""
 
 
 def fold(text: str, width: int, indent: int) -> str:
-    """Break the text into lines of at most `width` columns. All lines except the first one are indented by `indent`
-    columns. If possible, a command in backquotes stays on one line, and a number stays on one line with its unit. A
-    single word that is longer than a line is not broken."""
+    """Break the text into lines of at most `width` columns, and indent all lines except the first one by `indent`
+    columns. A command in backquotes, or a number with its unit, stays on one line if it fits. A longer word is not
+    broken."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
@@ -100,9 +100,8 @@ def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
 
 
 def say(text: str) -> None:
-    """Write one message to stderr, folded if stderr is a terminal. The message is dropped if it can't be written at
-    once, for example because the pipe is full or the terminal is paused by Ctrl-S. The service must never wait for its
-    log."""
+    """Write one message to stderr, folded if stderr is a terminal. The service must never wait for its log, so the
+    message is dropped if it can't be written at once, for example because the terminal is paused by Ctrl-S."""
     try:
         if select.select((), (STDERR,), (), 0)[1]:
             os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
@@ -111,7 +110,7 @@ def say(text: str) -> None:
 
 
 class Events:
-    """Sends the service's events to the ring and to the journal. If there is no journal, the events go to stderr. No
+    """Sends the service's events to the ring and to the journal, or to stderr if the journal does not accept them. No
     other part of the service sends events."""
 
     def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
@@ -148,11 +147,11 @@ class Events:
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
-        """Send the queued events. `hold`: True while the bytes of a stop are not written yet. The events are then sent
-        only if they have already waited for LONGEST_HOLD_NS. `now_ns`: the time now; 0 at the end of the service.
+        """Send the queued events. `hold`: True while the bytes of a stop are not written yet. The events then wait for
+        up to LONGEST_HOLD_NS. `now_ns`: the time now; 0 at the end of the service.
 
-        If events were dropped because there were too many, their number is logged when the minute is over, or at the
-        end of the service."""
+        The number of dropped events is logged when the minute is over, or at the end of the service.
+        """
         over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
@@ -207,8 +206,8 @@ def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. `what`: the length in characters of the first part of the text, which
-    says what has happened, if a second part says what the reader can do next. Otherwise 0."""
+    """One event for the ring, as a msgpack map. `what`: how many characters of the text come before the next step, or 0
+    if the text has no next step."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
@@ -228,9 +227,9 @@ def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields
 
 
 def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
-    """Encode the fields as a datagram for the journal. A field is usually its name, `=`, its value and a line break. If
-    the value contains a line break, the field is its name, a line break, the value's length as a little-endian u64, the
-    value, and a line break."""
+    """Encode the fields as a datagram for the journal. A field is usually NAME=VALUE and a line break. A value with a
+    line break is sent as the name, a line break, the value's length as a little-endian u64, the value, and a line
+    break."""
     parts = []
     for name, value in fields:
         data = str(value).encode("utf-8", "replace")
@@ -242,9 +241,8 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 
 def is_journal(stream: str) -> bool:
-    """True if this process's stderr goes to the journal. `stream`: the value of $JOURNAL_STREAM. It names the device
-    and the inode of the stderr that systemd opened, as DEVICE:INODE. If stderr was redirected later, it has a
-    different device or inode."""
+    """True if this process's stderr is still the one that systemd has connected to the journal. `stream`: the value of
+    $JOURNAL_STREAM, which names the device and inode of that stderr as DEVICE:INODE."""
     try:
         found = os.fstat(STDERR)
     except OSError:

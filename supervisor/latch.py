@@ -1,9 +1,8 @@
-"""The latch and the epochs. The first stop of a run, and the first one after each reset, is latched: it stays in force,
-and its cause is shown, until a person resets it. Each stop also raises the epoch, which is a counter.
+"""The latch and the epochs. The first stop of a run, and the first one after each reset, is latched: it stays in force
+until a person resets it. Each stop also raises a counter, the epoch.
 
-Only the supervisor raises the epoch, latches stops and resets. Every other process reads what the supervisor publishes.
-The epoch is published last. So a process that sees a new epoch also sees the cause of the stop, and sees that the
-service is not ready, even before its bell rings.
+Only the supervisor raises the epoch, latches stops and resets. The other processes read the result. The epoch is
+published last. So a process that sees a new epoch also sees the stop's cause, and that the service is not ready.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear the latch. The reset is refused if a stop has come after the person requested it at `asked_ns`, because
+        """Clear the latch. Refuses the reset if a stop has come after the person requested it at `asked_ns`, because
         the person did not know about that stop. A reset does not enable motion."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
@@ -96,8 +95,8 @@ class Epochs:
         return self._stopped_word.get() >= self.number
 
     def decide_reset(self) -> bool:
-        """If the gate has passed on a new reset request, grant or refuse the reset and publish the reply. Returns True
-        if the reset was granted."""
+        """Grant or refuse a new reset request from the gate, if there is one, and publish the reply. Returns True if
+        the reset was granted."""
         number = self._asked_word.get()
         if number == self._decided_word.get():
             return False

@@ -67,7 +67,7 @@ the last burst."""
 
 
 class Supervisor:
-    """The supervisor. Call turn() each time it wakes up, and then rest(), which sleeps until it must wake up again."""
+    """The supervisor. Call turn() at each wake-up, and then rest(), which sleeps until the next wake-up."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
@@ -149,8 +149,8 @@ class Supervisor:
         return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
-        """Stop the robot if a process has died, or if another process has noticed a cause for a stop. If the port owner
-        has died, write the burst before the epoch is raised. Everything else can wait until later in the turn."""
+        """Stop the robot if a process has died or has noticed a cause of a stop. If the port owner has died, write the
+        burst before the epoch is raised."""
         gap_ns = now_ns - self._turned_ns
         # True if a signal suspended this process since the last turn: SIGCONT has continued it, and is blocked
         # (entry.py).
@@ -165,8 +165,7 @@ class Supervisor:
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
-        """Write the burst on the supervisor's own descriptor. Returns the time when the burst was written, or 0 if
-        it could not be written."""
+        """Write the burst on the supervisor's own descriptor. Returns the time of the write, ns, or 0 if it failed."""
         written, now_ns = self._port.burst(), monotonic_ns()
         self._repeats.restart(now_ns)
         return self._wrote(now_ns) if written else 0
@@ -179,8 +178,8 @@ class Supervisor:
         return written_ns
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Handle the loss of the port, and its return. When the port returns, the thread that opens it also writes the
-        burst. If the thread could not write the burst, this method writes it."""
+        """Handle the loss and the return of the port. Writes the burst if the thread that opened the port could not
+        write it."""
         stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
             self.tracker.link.opened(now_ns, sure=sure)
@@ -197,8 +196,8 @@ class Supervisor:
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """If no running port owner has the port open, repeat the newest stop on the supervisor's own descriptor. After
-        the repeats, keep sending zeros."""
+        """While no running port owner has the port open, repeat the newest stop on the supervisor's own descriptor.
+        After the repeats, write the burst again every ZERO_EVERY_NS (procs/schedule.py)."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         self._repeats.wait(self._port.free_ns)
         if served:
@@ -207,10 +206,10 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """Check whether the supervisor itself did not run for a while. During that time it watched no other process, so
-        it excuses their silence. If it did not run for HANG_NS, and _motion() is True, return a list with one stop.
-        Otherwise return an empty list. `suspended_ns`: how long a signal suspended the supervisor since its previous
-        turn; 0 if none did."""
+        """Check whether the supervisor itself did not run for a while, and excuse the other processes' silence in that
+        time. Returns a list with one stop if it did not run for HANG_NS and _motion() is True. Without motion, this is
+        only logged, and the list is empty. `suspended_ns`: how long a signal suspended the supervisor since its
+        previous turn; 0 if none did."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -228,8 +227,7 @@ class Supervisor:
         return []
 
     def _check_names(self, now_ns: int) -> None:
-        """Stop the robot and end the service if someone has removed a name by which other processes find the service's
-        shared memory or pipes."""
+        """Stop the robot and end the service if a name of its shared memory or pipes was removed (Run.lost())."""
         if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
@@ -283,8 +281,8 @@ class Supervisor:
         self._run.bells[layout.TELEMETRY].ring()  # so that it reads the board's answer
 
     def _record_answer(self, now_ns: int) -> None:
-        """Check whether the port owner has answered the new epoch with a stop, and record the answer. If the port owner
-        is dead or late, the supervisor writes the burst itself."""
+        """Record the port owner's answer to the new epoch, if it has come. If the port owner is dead or late, the
+        supervisor writes the burst itself."""
         stop = self._unanswered
         if stop is None:
             return
@@ -305,8 +303,8 @@ class Supervisor:
         """True if motion is enabled in the current epoch, or if the port owner has written motion and no complete burst
         after it.
 
-        If your decision also depends on another value, read that value before you call this. The port owner publishes
-        that it writes motion before it checks the epoch for the last time, so in this order no motion is missed.
+        Read all other values that your decision needs before you call this. Then no motion is missed, because the port
+        owner publishes that it writes motion before it checks the epoch for the last time.
         """
         self._barrier()
         if self._moving_word.get():
@@ -326,13 +324,14 @@ class Supervisor:
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
         """Handle the silence of a process as the table says. A starved process is silent only because the machine does
-        not run it. Normally it is not killed, because it will continue by itself, and a new process would be starved
-        too. But a starved port owner is killed while motion is enabled, because it could still write a frame after the
-        burst. While motion is disabled, a starved process is only logged, because the wheels are stopped already.
+        not run it.
 
             motion    starved port owner          other starved process       hanging process
             enabled   stopped, latched, killed    stopped, latched            stopped, latched, killed
             disabled  logged                      logged                      stopped, latched, killed
+
+        A starved process is normally not killed, because a new process would be starved too. But a starved port owner
+        could still write a frame after the burst, so it is killed while motion is enabled.
 
         A process that was starved for longer than starved.LONGEST_NS is killed too. But such a death does not count
         towards the limit for restarts. After a kill, the supervisor notices the death and restarts the process.
@@ -373,8 +372,8 @@ class Supervisor:
         """End the service. The port owner writes a first stop, and the supervisor waits for the board's answer. Then it
         kills every process, and writes a second stop on its own descriptor.
 
-        Returns True if the second stop was sent and the board has answered the first one. The answer is not needed if
-        the board has never answered or has no pings.
+        Returns True if the second stop was sent and the board has answered the first one. A board that has never
+        answered, or has no pings, need not answer.
         """
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
@@ -404,9 +403,8 @@ class Supervisor:
         """Wait until the board acknowledges the stop that was written at `stop_ns` (0 if no stop was written). The port
         owner must still run to send pings, and telemetry must still run to read the answers.
 
-        Returns how long the acknowledgement took, ns, or 0 if the board did not acknowledge the stop in time. The time
-        limit is HEAR_NS. For a board without pings, it is twice the time in which the board reports the commands that
-        it obeys (Board.echo_ns).
+        Returns how long the acknowledgement took, ns, or 0 if it did not come in time. The time limit is HEAR_NS, or
+        twice Board.echo_ns for a board without pings.
         """
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)

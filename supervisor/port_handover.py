@@ -47,7 +47,7 @@ UDEV_S = 2.0
 
 
 def outcome(*, written: bool) -> str:
-    """Return a clause which says whether a stop was written. `written`: True if the kernel has taken the whole stop."""
+    """Return a clause for people about a stop. `written`: True if the kernel has taken the whole stop."""
     return "the stop is written" if written else "NO STOP COULD BE WRITTEN YET"
 
 
@@ -67,8 +67,8 @@ class OwnPort(StopPort):
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
         """Open the board's port and write the burst, which is the first thing that a run writes. If another process
-        holds the port, try again for BUSY_S, and call `held` before each new try; an error that `held` raises ends the
-        attempt. If udev does not let users open the device file yet, try again for UDEV_S. Raises port.PortError."""
+        holds the port, retry for BUSY_S, and call `held` before each retry. An error from `held` ends the attempt. If
+        udev does not let users open the device file yet, retry for UDEV_S. Raises port.PortError."""
         start_s = monotonic()
         while True:
             # Decide this before opening: otherwise udev could grant access between the refusal and this check.
@@ -100,15 +100,14 @@ def _is_new(path: str) -> bool:
 
 
 class Opener:
-    """A thread of the supervisor that opens a lost port as soon as it is back, and writes the burst to it.
+    """A thread of the supervisor that opens a lost port as soon as it is back, and writes the burst to it. The
+    supervisor's loop must not do this itself, because a slow board may need seconds until its port is open.
 
-    A board that is slow to wake up may need seconds until its port is open, and the supervisor's loop must not wait for
-    it. The thread writes the burst itself, so the burst does not wait for the loop. After begin(), only the thread may
-    use `finder`, except that the loop may read `finder.at`, `finder.sure` and `finder.settled`.
+    After begin(), only the thread may use `finder`. But the loop may read `finder.at`, `finder.sure` and
+    `finder.settled`.
 
-    After a loss, the thread may open a device that is not the board, because it found no better one. So while a port is
-    open, the thread keeps looking for the real board. If the board appears, the thread sets `misplaced` and rings the
-    bell.
+    After a loss, the thread may have opened a wrong device for lack of a better one. So it keeps looking for the real
+    board. If the board appears, the thread sets `misplaced` and rings the bell.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
@@ -127,7 +126,7 @@ class Opener:
         self._reserve()
 
     def begin(self) -> None:
-        """Start the thread, which then runs as long as the process. It starts before a port is lost, because no thread
+        """Start the thread, which then runs as long as the process. Call this before a port is lost, because no thread
         can be started once memory is short."""
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
@@ -136,15 +135,14 @@ class Opener:
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
-        """Return the port that the thread has opened since the last call, as (its descriptor, the time in ns when the
-        burst was written to it). The time is 0 if the burst could not be written. Returns None if no port was
-        opened."""
+        """Return the port that was opened since the last call, as (descriptor, time of the burst in ns), or None. The
+        time is 0 if the burst could not be written."""
         found, self._found = self._found, None
         return found
 
     def attempt(self) -> bool:
-        """Try to open the port once. Returns True if it was opened. One descriptor number is reserved for this, because
-        this process may have used up all others."""
+        """Try to open the port once. Returns True if it was opened. Works even if this process has used up all
+        descriptor numbers but the reserved one."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False
@@ -272,9 +270,8 @@ class PortHandover:
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Send the port's descriptor to each of the named processes that has been started. A process that is started
-        later inherits the port, and a descriptor that was sent to it before would stay open in the queue of its
-        socket."""
+        """Send the port's descriptor to each of the named processes that has been started. A process that starts later
+        inherits the port. If it were sent the port before, that descriptor would stay open in its socket's queue."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:
@@ -291,6 +288,6 @@ class PortHandover:
         return self._numbers[name].get() == self._port.number
 
     def complete(self) -> bool:
-        """True if the supervisor, the port owner, the stopper and telemetry all have the port. If the stopper does not
-        have it, the stopper can't stop the robot. If telemetry does not have it, no stop can be proved."""
+        """True if the supervisor, the port owner, the stopper and telemetry all have the port. The stopper needs the
+        port to stop the robot, and telemetry needs it to prove a stop."""
         return self._port.fd >= 0 and all(map(self.has, self.controls))

@@ -34,9 +34,9 @@ class ProcessTable:
     early (shm/lifeline.py)."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Create the children, but do not start them. Only the supervisor's main thread may call this, because from now
-        on the death of the calling thread counts as the supervisor's death. `advice`: what people can do if the machine
-        gives a process no processor time."""
+        """Create the children, without starting them. Only the supervisor's main thread may call this: from now on, the
+        death of the calling thread counts as the supervisor's death. `advice`: what people can do if the machine gives
+        a process no processor time."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -60,8 +60,7 @@ class ProcessTable:
         return self._by_name[name]
 
     def died(self, ready: dict[int, int]) -> list[Child]:
-        """The processes that have died and whose death was not handled yet. `ready`: the descriptors that have just
-        woken the loop."""
+        """The processes whose death was not handled yet. `ready`: the descriptors that have just woken the loop."""
         return [child for child in self.children if child.life and child.state != DEAD and child.life.died(ready)]
 
     def reap(self, ready: dict[int, int], now_ns: int) -> None:
@@ -104,17 +103,15 @@ class ProcessTable:
         self._events.log("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
-        """Restart the processes that died too often. Called after a reset, because a person who resets has seen that
-        they are down."""
+        """Restart the processes that died too often. Call this after a reset."""
         for child in self.children:
             if child.state == DOWN:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """For each process that has just reported that it runs, start a thread in the supervisor, which waits for the
-        early report of that process's death (shm/lifeline.py). The thread that waits for the death of the port owner
-        then also writes a stop at once."""
+        """For each process that has just reported that it runs, start a thread that waits for the early report of its
+        death (shm/lifeline.py). If the port owner dies, its thread also writes a stop at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
@@ -124,8 +121,7 @@ class ProcessTable:
                     self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _ring_watchers(self) -> None:
-        """Ring the bells of the port owner and the stopper, because they watch other processes and must read the new
-        pids."""
+        """Make the port owner and the stopper read the new pids of the processes that they watch."""
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
@@ -158,9 +154,8 @@ class ProcessTable:
             self._ring_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
-        """Start a process. On its command line the process gets the number of its block of futexes, the descriptors
-        that it inherits, and the number of the port. A descriptor that is not open is given as -1. Returns the pid.
-        Raises OSError."""
+        """Start a process, and return its pid. Its command line has the number of its block of futexes, the descriptors
+        that it inherits (-1 for one that is not open), and the number of the port. Raises OSError."""
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}

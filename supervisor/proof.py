@@ -62,8 +62,8 @@ class Proof:
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
         """`after_ns`: how long the wheels may take to come to rest. `unix_s`: the wall clock time at `now_ns`. `by`:
-        (how the board acknowledges a stop, what observes the wheels), see interface.py. The time limits after which the
-        outcome is logged count from `now_ns`, not from the stop's cause, which may be long ago."""
+        (how the board acknowledges a stop, what observes the wheels), see interface.py. The time limits for the outcome
+        count from `now_ns`, because the stop's cause may be long ago."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
@@ -91,15 +91,15 @@ class Proof:
         then."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """Record that the stop could be written only now, because the port was lost. The proof then begins again."""
+        """Record that the stop was written late, after the port was opened again. The proof then begins again."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.logged = False
         self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
     def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
-        """Record that the board has handled bytes that were written at `sent_ns`, and that its answer came at
-        `arrival_ns`. Returns True if this acknowledges the stop."""
+        """Record the board's answer to bytes that were written at `sent_ns`. The answer came at `arrival_ns`. Returns
+        True if it acknowledges the stop."""
         if self.acknowledged_ns is not None or sent_ns < self.stop.written_ns or not self.stop.written_ns:
             return False
         self.acknowledged_ns = arrival_ns - self.stop.t_ns
@@ -107,9 +107,8 @@ class Proof:
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
         """Record a verdict about the wheels, from the IMU or from the board's reports. Returns True if the caller must
-        write the stop again, because the wheels still move when the time has passed in which they should have come to
-        rest (`after_ns` of the constructor). While the wheels keep moving, this is repeated each time the same time has
-        passed.
+        write the stop again, because the wheels still move `after_ns` (see the constructor) after the stop. While they
+        keep moving, returns True again after each further `after_ns`.
 
         `still_ns`: since when the wheels have been still, or 0 if they move. `judged_ns`: when the verdict was made, or
         0 if no verdict was made yet.
@@ -135,8 +134,8 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """Return True if nothing more will become known about the stop, so that its outcome must be logged now. Returns
-        True only once."""
+        """Return True, only once, when nothing more will become known about the stop. The outcome must then be
+        logged."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -203,13 +202,13 @@ class Link:
     unproven   the board has answered no ping since the port was opened. Perhaps it does not hear. This stops no motion
     alive      the board answers
     deaf       the board answered earlier and now does not, or it reports that it obeys zero while motion is written
-    silent     the board sent reports earlier and now sends nothing. It has no power, or its program has ended, or the
-               wire from the board is broken. Nobody can tell which of these it is, or whether the board still hears
+    silent     the board sent reports earlier and now sends nothing. Perhaps it has no power, or its program has ended,
+               or the wire from it is broken. Nobody can tell which, or whether the board still hears
     unheard    the port was lost and is open again, but the device at the port has not answered. It may not be the board
     unasked    the board has no pings, so it can't answer. Nobody knows whether it hears. This stops no motion
 
-    After a loss of the port, the state is unheard if the board had answered before the loss, or if the device may not
-    be the board (finder.py). A board can be deaf and still send reports, so its reports never prove that it hears.
+    After a loss of the port, the state is unheard if the board was heard earlier in this run, or if the device may not
+    be the board (finder.py). A deaf board may still send reports, so reports never prove that it hears.
     """
 
     def __init__(self, deaf_ns: int, *, asked: bool = True, echo_ns: int = 0) -> None:
@@ -249,7 +248,8 @@ class Link:
 
     @property
     def believed(self) -> bool:
-        """True if the device at the open port has shown that it is the board."""
+        """True if the device at the open port counts as the board. This is so if it has answered, or if it has no pings
+        and is not unheard."""
         return self._answers not in (LINK_UNPROVEN, LINK_UNHEARD)
 
     @property
@@ -257,8 +257,8 @@ class Link:
         """True if motion must not be enabled, because the board was heard in this run and is not heard now.
 
         A device that was never heard does not prevent motion, because some boards send nothing by design. A board that
-        is deaf because it obeyed zero although motion was written does not prevent motion either: this has latched a
-        stop, and after the reset only new motion can show whether the board hears again.
+        obeyed zero although motion was written does not prevent motion either. It has already caused a stop, and after
+        the reset only new motion can show whether the board hears again.
         """
         known = self._answers == LINK_DEAF and not self._by_echo
         return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
@@ -272,15 +272,15 @@ class Link:
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Record that until now no process could read the board's answers. The board's silence before this time, and
-        the pings up to `newest_ping_ns`, do not count against the board."""
+        """Do not count the board's silence until `now_ns`, and the pings up to `newest_ping_ns`, against the board.
+        Call this if its answers could not be read until now."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
     def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
-        """Record that one part of the board (a wheel's servo) does not answer. No ping can then be answered completely.
-        The board does not count as deaf as long as other parts of it answer."""
+        """Record that a wheel's servo does not answer, so no ping can be answered completely. The board does not count
+        as deaf as long as its other parts answer."""
         if now_ns - self._said_ns < self._deaf_ns:
             self.listen(newest_ping_ns)
 
@@ -290,9 +290,9 @@ class Link:
         self._held_up_ns = now_ns
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
-        """True if the board has seemed silent since `since_ns`, but perhaps only because the machine held up the
-        service. The silence is then measured again from `now_ns`, and pop_unheard() returns its length, so that the
-        tracker stops the robot if it may move. After LONGEST_NS, a silence is not excused any more."""
+        """Excuse the board's silence since `since_ns` if the machine has held up the service in that time. Returns True
+        if the silence is excused. It is then measured again from `now_ns`, and pop_unheard() returns its length. After
+        LONGEST_NS, a silence is not excused any more."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -301,8 +301,8 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """If a silence of the board was excused because the machine held up the service, return its length in ns, but
-        only once. Otherwise return 0."""
+        """Return the length of a silence that was excused because the machine held up the service, ns. Returns it only
+        once, otherwise 0."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
@@ -328,15 +328,15 @@ class Link:
             self._silent = True
 
     def check_echo(self, unheeded_ns: int) -> None:
-        """Check whether the board reports that it obeys zero although motion is written. `unheeded_ns`: when the first
-        of these reports came; 0 if there is no such report. The board counts as deaf if its newest report came long
-        enough after the first one. So a pause in the reports does not make it deaf."""
+        """Mark the board as deaf if it has reported for long enough that it obeys zero although motion is written.
+        `unheeded_ns`: when the first of these reports came; 0 if there is none. A pause in the reports does not make
+        the board deaf."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Record that no stop is latched. A board that counted as deaf because it obeyed zero then no longer counts as
-        deaf: only the next motion can show whether it hears again."""
+        """Record that no stop is latched. A board that was deaf because it obeyed zero then no longer counts as deaf,
+        because only the next motion can show whether it hears again."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 
@@ -352,8 +352,7 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """Check whether a lost port was opened again, but the device at the port has not answered in time. Returns True
-        only once per opened port."""
+        """Return True, once per opened port, if the device at a reopened port has not answered in time."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False
@@ -361,8 +360,7 @@ class Link:
         return self._missed
 
     def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
-        """Check whether the board has become deaf. Returns True once when it has. `newest_ping_ns`: when the newest
-        ping was sent."""
+        """Return True once when the board has become deaf. `newest_ping_ns`: when the newest ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
         if self.state != LINK_ALIVE or not self._asked_ns:

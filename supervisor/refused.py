@@ -40,8 +40,7 @@ FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its uni
 
 def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
     """Why the kernel refused a process real-time priority although its limits or capabilities allow it, and what helps.
-    The text is empty if neither of them allows it, because then they are the reason. `unit`: the systemd unit that
-    starts the process. Never raises."""
+    Empty if they don't allow it. `unit`: the systemd unit that starts the process. Never raises."""
     if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
         return ""
     for line in _lines(f"{PROC}/{pid}/cgroup"):

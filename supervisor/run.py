@@ -3,11 +3,10 @@
 Other programs find a run by its name: a file that says which shared memory belongs to the service. The name is created
 last and removed first. So if the name exists, everything that belongs to the run exists too.
 
-Someone may remove the names of the shared memory and the pipes while the service runs. For example, if logind.conf has
-RemoveIPC=yes, logind removes the names of the shared memory when the service's user logs out. A process that has
-already attached to the shared memory can still use it. But the service can't restart a process any more, no client can
-connect, and without the stop pipe nobody can request a stop. A running service can't repair this, so it ends, and the
-next run creates new names.
+Someone may remove the names of the shared memory and the pipes while the service runs. For example, with RemoveIPC=yes
+in logind.conf, logind removes the shared memory's names when the service's user logs out. Running processes can still
+use the memory. But no process can be restarted, no client can connect, and without the stop pipe nobody can request a
+stop. A running service can't repair this, so it ends, and the next run creates new names.
 """
 
 from __future__ import annotations
@@ -57,8 +56,8 @@ class Run:
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
         """Create everything except the run's name, which publish() creates. The caller must hold the instance's lock.
-        Raises segments.AttachError, instance.InstanceError or OSError. If it raises, everything that it has created is
-        removed again."""
+        Raises segments.AttachError, instance.InstanceError or OSError, and then removes everything that it has
+        created."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
@@ -133,8 +132,8 @@ class Run:
 
     def publish(self, stop: str = "") -> None:
         """Publish the run's name, so that clients can find the run. Call this when everything that clients read exists.
-        It also saves the command line that starts the same service again, and what a command needs to stop the robot
-        while no service is running. `stop`: the board's stop, as board/kept.py packs it. Raises OSError."""
+        Also saves the command line that starts the same service again, and how a command can stop the robot while no
+        service runs. `stop`: the board's stop, as board/kept.py packs it. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
@@ -154,8 +153,8 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Check whether the names that other processes need still exist, and log each missing name. It checks at most
-        once per second. Returns a cause if the service must end because of a missing name, otherwise None."""
+        """Log each removed name that other processes need. Returns a cause if the service must end because of a removed
+        name, otherwise None. Checks at most once per second."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns

@@ -1,9 +1,8 @@
 """Starts and reaps processes, including the supervisor. Also decides which interpreter and which command line each
 process gets.
 
-Processes start with the options `-I -S`, so without Python's site module. In a small process, the site module would
-take longer than all other imports together. Without the site module, Python does not find every package, so processes
-get the search path in an environment variable.
+Processes start with the options `-I -S`, so without Python's site module (bootstrap.py explains why). They get the
+search path for packages in an environment variable.
 """
 
 from __future__ import annotations
@@ -62,9 +61,9 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. It
-    begins as a new program, because the modules that the command line has imported would make the supervisor twice as
-    large. `again`: the command line with which the same service can be started again. Raises OSError."""
+    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. Without
+    the exec, the modules that the command line has imported would make the supervisor twice as large. `again`: the
+    command line that starts the same service again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

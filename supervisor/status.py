@@ -1,8 +1,8 @@
 """Status: publishes why motion can't be enabled yet, and tells the service manager whether the supervisor does its job.
 
 The gate reads the ready word, and clients read the process table. The service manager gets datagrams (the sd_notify
-protocol): ready, a status line, watchdog beats, and the end. The supervisor never waits for the service manager. If a
-datagram could not be sent, it is sent again later.
+protocol): ready, a status line, watchdog beats, and the end. The supervisor never waits for the service manager. A
+datagram that could not be sent is sent again later.
 
 The service manager restarts the service if the watchdog beats stop. They stop only in these cases:
 
@@ -11,11 +11,10 @@ The service manager restarts the service if the watchdog beats stop. They stop o
     a stop can't be written                 although the port is open
 
 In every other case the beats go on, even if a process is down until a reset, the port is gone, or the board is deaf.
-The supervisor then still publishes the status and stops the wheels as far as it can, and a restart would interrupt
-both.
+The supervisor then still reports, and stops the wheels as far as it can. A restart would interrupt that.
 
-This file also explains what the service loses without real-time scheduling and locked memory, which lease it can keep
-without these rights, and which command grants them.
+This file also explains what the service loses without real-time rights or early reports of deaths, and which command
+grants the rights. It chooses the lease of a service without real-time rights.
 """
 
 from __future__ import annotations
@@ -150,8 +149,8 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Log the reason once motion could not be enabled for WAITED_NS. After that, log once that motion can be
-        enabled again. `missing`: the reason, or empty. Call this once per turn."""
+        """Log `missing` after WAITED_NS, and later that motion can be enabled again. `missing`: why motion can't be
+        enabled, or empty. Call this once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -196,8 +195,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """A text which says that the wheels turn although zero is commanded. Empty if they don't, or if their newest
-    reading is too old. `entry`: telemetry's record about the wheels. Pure."""
+    """A warning that the wheels turn although zero is commanded. Empty if they don't, or if their newest reading is too
+    old. `entry`: telemetry's record about the wheels. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])
@@ -241,8 +240,8 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """These settings, with a lease that fits the rights of this process. `chosen`: the keys of the settings that the
-    user has chosen. A lease that the user has chosen is not changed."""
+    """These settings, with the lease of lease_without_rights() if this process can't get real-time rights. `chosen`:
+    the keys of the settings that the user has chosen. A lease that the user has chosen is not changed."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -256,8 +255,8 @@ def lease_without_rights(settings: Settings) -> float:
 
 
 def cost(lease_s: float) -> str:
-    """What the service loses without real-time rights, as part of a sentence. With a longer lease, hangs are noticed
-    later. With a short lease, the robot may be stopped just because a process ran late."""
+    """What the service loses without real-time rights, as part of a sentence. A long lease notices hangs later. A short
+    lease stops the robot when a process only runs late."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"

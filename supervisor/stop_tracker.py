@@ -1,8 +1,7 @@
-"""StopTracker: logs each stop, and collects the proof of one stop at a time from the board's answers and the IMU's
-verdict. It also watches the link to the board.
+"""StopTracker: logs each stop, and collects the proof of one stop at a time from the board's answers and the verdict
+about the wheels. It also watches the link to the board.
 
-The files stops.py and proof.py decide what counts as proof. This file reads the facts for these decisions from shared
-memory.
+This file reads the facts from shared memory. The files stops.py and proof.py decide what they prove.
 """
 
 from __future__ import annotations
@@ -51,14 +50,13 @@ UNCONNECTED = {
 
 class StopTracker:
     """Logs stops, tracks a stop until its proof is complete, and watches the link to the board. Call poll() once per
-    turn. `heard` is (sent_ns, answered_ns): when the newest bytes that the board has acknowledged were sent, and when
-    the acknowledgement came."""
+    turn. `heard` is (sent_ns, answered_ns) of the newest bytes that the board has acknowledged."""
 
     def __init__(
         self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool], moves: Callable[[], bool]
     ) -> None:
         """`holds`: returns True while bytes for the board are still in the kernel. `moves`: returns True while motion
-        is enabled."""
+        is enabled, and also while the newest frame on the port is motion."""
         self._run = run
         self._holds, self._moves = holds, moves
         port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
@@ -91,14 +89,12 @@ class StopTracker:
         """The causes that have been logged since the latched stop was latched."""
 
     def latched(self, stop: Stop) -> None:
-        """Record that a stop was latched. Each other cause that occurs from now on is logged once, even if it was
-        logged before this stop."""
+        """Record that a stop was latched. From now on, each other cause is logged once again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
         """True if this cause has not been logged since the stop was latched. Several processes may notice the same
-        cause, but it should be logged only once. Only 64 causes are remembered, so with more a cause may be logged
-        twice."""
+        cause. Only SENTENCES_KEPT causes are remembered, so a cause may be logged twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -150,8 +146,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Begin to track the proof of this stop. Does nothing if an earlier stop is tracked that was written, and no
-        reset has come since, because people still look at the earlier stop."""
+        """Begin to track the proof of this stop. Until a reset, an earlier stop that was written stays tracked instead,
+        because people still look at that stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -163,8 +159,8 @@ class StopTracker:
 
     def poll(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
         """Look for new proof of the tracked stop, and check the link. Returns the stops that must be written because of
-        the result. `listening`: True if the port owner, which sends pings, and telemetry, which decodes the answers,
-        both run. `held_up`: True if the machine holds up the port owner, telemetry or the supervisor."""
+        the result. `listening`: False if a missing answer must not count against the board, for example because
+        telemetry does not run. `held_up`: True if the machine holds up the port owner, telemetry or the supervisor."""
         self._read_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
@@ -205,9 +201,8 @@ class StopTracker:
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """Return a list with the stop that is needed because the board is deaf or silent while motion is enabled, or an
-        empty list. The stop is returned once, and once more each time someone enables motion although the board is deaf
-        or silent.
+        """Return a list with one stop if motion is enabled although the board is deaf or silent. Returns the stop only
+        once each time that someone enables motion. Otherwise returns an empty list.
 
         The robot is also stopped if the board seems silent only because the machine held up the service. Nobody knows
         then which commands the board has heard.
@@ -237,8 +232,8 @@ class StopTracker:
 
     def _read_answer(self) -> None:
         """Read from telemetry which of the written bytes the board has handled (board/handled.py). The record
-        `answered` is about pings and proves only that the link works. Only the record `proved` acknowledges a stop,
-        because some boards must also report that they obey zeros."""
+        `answered` proves only that the link works. Only the record `proved` acknowledges a stop, because some boards
+        must also report that they obey zeros."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -254,8 +249,8 @@ class StopTracker:
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after the stop `last` although they should be still, so that the stop must be
-        written again. After a reset this is always False, because a person has taken over."""
+        """True if the wheels still move after the stop `last`, so that the stop must be written again. Always False
+        after a reset, because a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -279,9 +274,9 @@ class StopTracker:
         return unstill
 
     def _run_command(self) -> None:
-        """Run the user's command (still.command) because the wheels still move after a stop. After that, the caller
-        runs it again only if the wheels were seen still in between, or after a reset. A command that is still running
-        since an earlier stop counts as hanging and is killed first."""
+        """Run the user's command (still.command) because the wheels still move after a stop. First kills commands that
+        still run since an earlier stop. The caller runs the command again only after the wheels were seen still, or
+        after a reset."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)

@@ -1,7 +1,7 @@
 """A stop, from the moment when a process notices its cause until the stop burst is written. Pure.
 
-If the port is lost, no process can write the burst. It is then written as soon as the port is open again. What is known
-about the effect of a stop is in proof.py.
+While the port is lost, no process can write the burst. It is written as soon as the port is open again. proof.py judges
+the effect of a stop.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ cause."""
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """If the cause is only that the supervisor was silent, and a signal had suspended the supervisor, return a cause
-    that names the suspension. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was
-    suspended; 0 if it was not."""
+    """Return a cause that names the suspension, if a signal had suspended the supervisor and the cause is the
+    supervisor's silence. Otherwise return the cause unchanged. `suspended_ns`: how long the supervisor was suspended; 0
+    if it was not."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
@@ -63,9 +63,8 @@ class Stop(Data):
         return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Find out which process has written the stop (see WRITERS). Returns (the process, the time of its burst in
-        ns). The time is 0 if the supervisor must write the burst now. Returns None if the port owner may still write
-        the burst.
+        """Return (the process that has written the stop, the time of its burst in ns), as decided by WRITERS. The time
+        is 0 if the supervisor must write the burst now. Returns None while the port owner may still write the burst.
 
         `answered`: True if the port owner has answered the epoch. `may_answer`: True if the port owner is alive and
         still has time to answer. `port_owner_ns`: when the port owner last wrote a burst.

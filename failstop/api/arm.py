@@ -51,15 +51,13 @@ class Arm:
     ) -> str:
         """Move the arm to these angles, and return when a reading confirms that the arm has reached them.
 
-        `to` is either one set of angles, or a trajectory: a list of points (seconds from the start, angles). Every
-        point must name the same joints. `over_s` is the time for one set of angles; with 0 the arm moves as fast as
-        `speed` allows. `speed` is the share of each joint's highest speed that may be used. `progress` is called with
-        each text about the progress.
+        `to`: one set of angles, or a trajectory as a list of points (seconds from the start, angles). Every point must
+        name the same joints. `over_s`: the time for one set of angles; with 0 the arm moves as fast as `speed` allows.
+        `speed`: the share of each joint's highest speed to use. `progress`: called with each text about the progress.
 
-        Raises Refused before the move if an angle is out of range, if the move would be too fast, if the arm would hit
-        something, if motion is enabled, or if a stop is latched. Raises Refused during the move if arm.hold(), another
-        request or a stop ends it, or if a servo does not answer or does not follow. Raises ValueError for an unknown
-        joint.
+        Raises ValueError for an unknown joint. Raises Refused before the move if an angle is out of range, the move
+        would be too fast, the arm would hit something, motion is enabled, or a stop is latched. Raises Refused during
+        the move if arm.hold(), another request or a stop ends the move, or if a servo does not answer or follow.
         """
         asked_ns = monotonic_ns()  # another request may be made while the whole way is checked
         points = [(over_s, to)] if isinstance(to, Mapping) else to
@@ -88,16 +86,15 @@ class Arm:
         return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
-        """Move the arm toward these angles, and return at once. Call this function again and again, because the arm
-        stops if no new call comes within the time of the setting arm.goal_timeout_s. State.arm shows whether the arm
-        moves, and if not, why. Raises Refused for an angle out of range."""
+        """Move the arm toward these angles, and return at once. Repeat the call, because the arm stops if no new call
+        comes within the setting arm.goal_timeout_s. State.arm shows whether the arm moves, and if not, why. Raises
+        Refused for an angle out of range."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn joints at these rates (rad/s), and return at once. Call this function again and again, because the
-        joints stop if no new call comes within the time of the setting arm.goal_timeout_s. Raises Refused for a rate
-        that is not finite."""
+        """Turn joints at these rates (rad/s), and return at once. Repeat the call, because the joints stop if no new
+        call comes within the setting arm.goal_timeout_s. Raises Refused for a rate that is not finite."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -109,12 +106,13 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop the arm where it is. The torque stays on, and all goals are dropped. If the arm is on its way to its
-        drive pose because of Robot.enable(), then enable() fails, and motion stays disabled."""
+        """Stop the arm where it is, and drop all goals. The torque stays on. If Robot.enable() is moving the arm to its
+        drive pose, then enable() fails, and motion stays disabled."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
-        """Switch the torque off. The arm then falls, and may drop what it holds. Raises Refused while motion is
+        """Switch the torque off. The arm then falls, and may drop what it holds. Raises Refused while a stop is
+        latched. If the board can't move the arm and the wheels together, it also raises Refused while motion is
         enabled."""
         return self._ask(records.ARM_RELEASE)
 
@@ -132,12 +130,11 @@ class Arm:
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Check the whole path of a move before the arm begins it. The path starts at the arm's present position.
-        Raises Refused if the arm would hit something.
+        """Check the whole path of a move, from the arm's present position, before the move begins. Raises Refused if
+        the arm would hit something.
 
-        The client does this check, not the gate, because the check takes many milliseconds and the gate must always be
-        ready to stop the wheels. The gate checks only the end of each small step of the move, before it sends that
-        step.
+        The client does this check, because it takes many milliseconds and the gate must always be ready to stop the
+        wheels. The gate checks only the end of each small step before it sends that step.
         """
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):

@@ -1,6 +1,6 @@
 """Ask: asks a running service to stop the robot, and checks that it does. The request needs only the stop pipe. The
-service's state is read too, if possible. It can't be read if the service is of a different version, has only half
-started, or is partly dead."""
+service's state is read if possible, which fails if the service is of a different version, has only half started, or is
+partly dead."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Raises no error: a problem
-    is returned as text.
+    """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Problems are returned as
+    text, never raised.
 
-    Returns (result, problem, doubt). `result` says that the stop is latched, or that it was written but this user can't
-    see whether it is latched. `result` is empty if neither is known. `problem` says what is wrong; empty if nothing is.
-    `doubt` is True if the stop is latched, but the wheels may still turn.
+    Returns (result, problem, doubt). `result`: the stop is latched, or it was written but this user can't see the
+    latch; empty if neither is known. `problem`: what is wrong; empty if nothing is. `doubt`: True if the stop is
+    latched, but the wheels may still turn.
     """
     try:
         send_stop(name, reason, who)
@@ -50,9 +50,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
 
-    Either of two signs shows that the stop was written. The first sign is an empty pipe, because the port owner reads
-    the pipe only after it has written the stop. But if other programs keep writing requests, the pipe may never be
-    empty. The second sign is that the epoch is now higher than at the beginning of this call.
+    Either of two signs shows that the stop was written. One is an empty pipe, because the port owner reads the pipe
+    only after it has written the stop. But other programs may keep writing to the pipe. So the other sign is a higher
+    epoch than at the beginning of this call.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
@@ -84,7 +84,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def _why(cause: Cause | None) -> str:
-    """The cause as text. If this program has asked for the stop, its name is left out."""
+    """The cause as text, without this program's name if this program asked for the stop."""
     own = cause and cause.named().get("pid") == os.getpid()
     return unsigned(cause) if cause and own else str(cause)
 
@@ -105,8 +105,7 @@ def owner_of(name: str) -> int | None:
 
 
 def same(port: str, device: str) -> bool:
-    """True if two paths lead to the same port. If one of them does not exist, only the paths themselves are
-    compared."""
+    """True if two paths lead to the same port. If a path does not exist, only the paths are compared."""
     with contextlib.suppress(OSError):
         return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
     return os.path.realpath(port) == os.path.realpath(device)

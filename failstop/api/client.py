@@ -30,9 +30,8 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""In ns. If a program repeats its previous command within this time, the repeated command does not wake the gate. The
-gate reads it at its next tick, which is before the previous command expires. This saves the 0.2 to 0.4 ms of processor
-time that a wake-up costs."""
+"""In ns. A command that repeats the previous one within this time does not wake the gate. The gate reads it at its next
+tick, before the previous command expires. This saves the 0.2 to 0.4 ms of processor time of a wake-up."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
@@ -74,13 +73,13 @@ def unread(fd: int) -> int:
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Ask the service to stop the robot. The service latches the stop. Every local user may do this. This call never
-    waits for the service. Raises NoService, FailstopError.
+    """Ask the service to latch a stop. Every local user may do this. The request is sent at once. The call then
+    returns, or waits at most OWN_WORDS_S for a reason with its own `__str__`. Raises NoService, FailstopError.
 
-    The service shows `stop request: REASON (says it is WHO, pid N)`. The service can't check who asked, because a pipe
-    does not show who wrote to it. A reason longer than records.ASKED_BYTES is cut. If the reason is an object with its
-    own `__str__`, a second request with the text from `__str__` follows, unless `__str__` takes longer than
-    OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED, whose remedy people then see; empty for none.
+    The service shows `stop request: REASON (says it is WHO, pid N)`, but can't check who asked. A reason longer than
+    records.ASKED_BYTES is cut. The text from a reason's own `__str__` follows in a second request, unless `__str__`
+    takes longer than OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED, whose remedy people then see; empty for
+    none.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -97,9 +96,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send the own text of the object `why` in a second stop request. This takes at most OWN_WORDS_S. Another thread
-    makes the text, because the object's code may never return. `fd`: a descriptor of the stop pipe, which is closed
-    when the request was sent or dropped."""
+    """Send the text from the `__str__` of `why` in a second stop request. This takes at most OWN_WORDS_S. Another
+    thread makes the text, because `__str__` may never return. `fd`: a descriptor of the stop pipe. It is closed when
+    the request was sent or dropped."""
     # Imported only here, because most reasons don't need it.
     from threading import Thread
 
@@ -113,9 +112,9 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Make the own text of the object `why`, and send it after the service has read the first request. If both requests
-    were in the pipe, the service would read them together, and report only the first one. After `until_s` the text is
-    no longer sent, because somebody may already have reset the stop, and this request would stop the robot again."""
+    """Call the `__str__` of `why`, and send its text once the service has read the first request. The service reports
+    only the first of several requests that it reads together. After `until_s` nothing is sent, because somebody may
+    already have reset the stop, and a late request would stop the robot again."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -130,11 +129,11 @@ def gone(name: str) -> NoService:
 
 
 class SeenRun:
-    """Shows whether one run of the service has ended, and what the settings of that run declare. It is the run that is
-    present when this object is made. Not thread-safe.
+    """Shows whether a run of the service has ended, and what its settings declare. This object stays with the run in
+    which it was made. Not thread-safe.
 
-    The values in this object do not change during the run, because the supervisor writes all of them before clients can
-    find the run (supervisor/entry.py).
+    The values do not change during the run, because the supervisor writes them before clients can find the run
+    (supervisor/entry.py).
     """
 
     def __init__(self, name: str) -> None:
@@ -160,16 +159,16 @@ class SeenRun:
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
     def run_record(self, record: str) -> tuple[int, dict[str, Any]]:
-        """Return (time, values): the time at which the supervisor wrote a record (CLOCK_MONOTONIC, ns), and the values
-        in that record. Raises FailstopError if the record is damaged."""
+        """Return (time, values) of a record: when the supervisor wrote it (CLOCK_MONOTONIC, ns), and its values. Raises
+        FailstopError if the record is damaged."""
         entry = self.supervisor.latest_reader(record).read()
         if entry is None:
             raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True if this run of the service has ended. A run ends when its supervisor dies. The check takes only one
-        system call, so every call to the service makes it."""
+        """True if this run of the service has ended. A run ends when its supervisor dies. The check takes one system
+        call, so every call to the service makes it."""
         try:
             return not segments.lives(self._life)
         except OSError:  # the program has closed this descriptor; a new SeenRun opens another
@@ -195,9 +194,9 @@ class Client:
     """Holds one of the service's client slots until close(), until this object is freed, or until the process ends."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
-        """Take a client slot. `who` and `pid`: the name and the pid that people see. If this process drives on behalf
-        of another program, pass that program's pid. By default it is the pid of this process. Raises NoService, and
-        FailstopError (no permission, another version, or all slots taken)."""
+        """Take a client slot. `who` and `pid`: the name and the pid that people see. `pid` is by default that of this
+        process. To drive on behalf of another program, pass that program's pid. Raises NoService, FailstopError (no
+        permission, another version, or all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
@@ -306,10 +305,9 @@ class Client:
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """Return the answer to the request with this number, or None if it has not come yet. After this call has
+        """Return the answer to the request with this number, or None if it has not come yet. Once this call has
         returned the answer, the service's state shows what the request has changed. The service keeps only its newest
-        answer to this client. So if the service has already answered a later request, this call returns a refusal
-        instead."""
+        answer to this client. So if the service has already answered a later request, this call returns a refusal."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -319,8 +317,7 @@ class Client:
 
     def close(self, *, in_order: bool = True) -> None:
         """Give the slot back, so that the last command of this client no longer counts. `in_order`: True if the client
-        ends normally; False if the gate must treat its end as a crash. Only a client that ends normally says goodbye to
-        the gate."""
+        ends normally and says goodbye to the gate; False if the gate must treat its end as a crash."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
@@ -344,10 +341,10 @@ def _give_back(
     owner: int,
     files: list[tuple[int, int]],
 ) -> None:
-    """Give a slot back, so that the last command in the slot no longer counts. In a forked child this function writes
-    nothing, because the slot still belongs to the parent process `owner`. It also writes nothing if the program has
-    closed the slot's descriptors, because their numbers may now belong to other files. `files`: what _files() returned
-    for these descriptors."""
+    """Give a slot back, so that its last command no longer counts. Nothing is written in a forked child, because the
+    slot still belongs to the parent process `owner`. Nothing is written either if the program has closed the slot's
+    descriptors, because their numbers may now belong to other files. `files`: what _files() returned for these
+    descriptors."""
     if os.getpid() == owner:
         if _files(held.fileno(), ring) == files:
             # Write the goodbye, because another process may take the slot before the gate has seen it free.

@@ -1,5 +1,5 @@
-"""Stopping distance: how far the robot moves between a fault and the moment when it is at rest. It is computed from the
-settings, for level ground."""
+"""Stopping distance: how far the robot moves after a fault until it is at rest. It is computed from the settings, for
+level ground."""
 
 from __future__ import annotations
 
@@ -36,14 +36,13 @@ after the fault, in s. `fault`: the fault in words."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """How far the base moves until it is at rest, in m, if it keeps the speed `speed_mps` for `seconds` before it
-    brakes."""
+    """How far the base moves, in m, if it keeps the speed for `seconds` and then brakes until it is at rest."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
 def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
-    """The highest speed, in m/s, from which the base comes to rest within `distance` (m), if it keeps that speed for
-    `seconds` before it brakes. This is the inverse of distance_m()."""
+    """The highest speed in m/s at which distance_m() is at most `distance` (m), for these `seconds` and this
+    braking."""
     return braking_mps2 * (math.sqrt(seconds**2 + 2 * distance / braking_mps2) - seconds)
 
 

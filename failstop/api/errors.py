@@ -1,5 +1,5 @@
-"""The errors that failstop's calls raise. If a failstop command fails with one of these errors, the command's exit code
-is the `exit_code` of the error's class."""
+"""The errors that failstop's calls raise. A failstop command that fails with such an error exits with the error's
+`exit_code`."""
 
 from __future__ import annotations
 
@@ -24,15 +24,13 @@ class Refused(FailstopError):
     """Exit code of a command that fails with this error."""
 
     def __init__(self, template: str, cause: Cause | None = None, step: str = "", refused_for: int = 0) -> None:
-        """`template`: the reason, in which CAUSE is replaced by the text of `cause`. `step`: the next step.
-        `refused_for`: 1 if a stop is latched, 2 if an interlock does not hold, 3 if the wheels may turn, 0 for any
-        other reason."""
+        """`template`: the reason, with CAUSE in the place of the text of `cause`. `step`: the next step. `refused_for`:
+        1 if a stop is latched, 2 if an interlock does not hold, 3 if the wheels may turn, otherwise 0."""
         super().__init__(template, cause, step, refused_for)
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """If the request was refused because of a stop, the cause of that stop. None if the request was refused for
-        another reason."""
+        """The cause of the stop for which the request was refused. None if it was refused for another reason."""
         self.step = step
         """The next step, with commands in backquotes. Empty if no step is known."""
 
@@ -53,8 +51,8 @@ class NoService(FailstopError):
 
 
 class Undeclared(FailstopError, ValueError):
-    """The program has named a source or an interlock that it can't use: the settings of the service do not declare it,
-    or it is reserved, such as the source `gamepad`."""
+    """The program named a source or an interlock that is not in the service's settings, or that is reserved, such as
+    the source `gamepad`."""
 
 
 class TimedOut(FailstopError, TimeoutError):

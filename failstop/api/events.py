@@ -38,8 +38,8 @@ class Event:
     level: str
     """How important the event is: info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal. It has at most 280 bytes. If `fields` is long, so that the event
-    would not fit into its entry, the line is cut to 200 or 120 bytes."""
+    """One line for people, the same as in the journal, of at most 280 bytes. It is cut to 200 or 120 bytes if the event
+    would not fit into its entry because of long `fields`."""
     fields: dict[str, str | int | float]
     """The event's values for programs. Each kind of event has different values (docs/logs.md)."""
     next: str = ""
@@ -63,8 +63,8 @@ class EventLog:
 
     def read(self) -> list[Event]:
         """Return the events since the last call. The first call returns the events since this object was made, and with
-        `past` also the earlier events that the service still has (the last 256). Raises NoService if this run of the
-        service has ended and earlier calls have returned all its events."""
+        `past` also the earlier ones that the service still has (the last 256). Raises NoService once this run of the
+        service has ended and all its events were returned."""
         over = self._run.over()  # checked before reading, because the last events must still be returned
         found = []
         while entry := self._ring.next():
@@ -77,7 +77,7 @@ class EventLog:
 
     def follow(self) -> Iterator[Event]:
         """Yield every event as it happens. With `past`, begin with the earlier events that the service still has.
-        Raises NoService when this run of the service has ended."""
+        Raises NoService when this run of the service ends."""
         while True:
             found = self.read()
             yield from found
@@ -86,8 +86,8 @@ class EventLog:
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:
-    """Read an event from an entry of the service's ring. None if the entry can't be read, for example because a
-    different version of failstop has written it."""
+    """Decode an event of the service's ring. None if that fails, for example because a different version of failstop
+    wrote it."""
     try:
         found = msgpack.unpackb(payload)
         text, what = found["text"], found.get("what")

@@ -1,5 +1,5 @@
-"""Follow: keeps reading the state of a service, even if the service ends and is started again. It also computes how
-much the robot vibrates."""
+"""Follow: reads the state of a service, also across restarts of the service. It also computes how much the robot
+vibrates."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Held: keeps a futex held while this program lives, so that the service notices when the program dies. An extra thread
-of the program holds the futex, and does nothing else."""
+"""Held: holds a futex while this program lives, so that the service notices when the program dies. An extra thread
+holds it, and does nothing else."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """Holds a futex in an extra thread, so that any thread of the program can release it with let_go(). The extra
-    thread ends when this object is freed, even if a signal handler raises an exception at that moment."""
+    """Holds a futex in an extra thread until let_go(), which any thread may call. The extra thread also ends when this
+    object is freed, even if a signal handler raises an exception at that moment."""
 
     def __init__(self, word: Futex) -> None:
         """Start the extra thread, and wait until it holds the futex. Raises RuntimeError if no thread can be started,

@@ -25,22 +25,21 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """Return the command that starts the service, in backquotes. If it is known how the service was started the last
-    time, the command starts it in the same way. If not, the command is `systemctl start` if the systemd unit is
-    installed, and otherwise `failstop run`."""
+    """Return the command that starts the service, in backquotes. If a command has started this service before, it is
+    that command. Otherwise it is `systemctl start` if the systemd unit is installed, and `failstop run` if not."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
 
 
 def stop(device: str | None = None) -> str:
-    """Return the command, in backquotes, with which people stop the board while no service is running."""
+    """Return the command, in backquotes, that stops the board while no service is running."""
     import shlex  # imported only here, because a program that drives does not need it
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:
-    """Return the command that shows the service's events in the journal, in backquotes. Empty if the service has no
-    systemd unit, because then the journal does not have the events."""
+    """Return the command, in backquotes, that shows the service's events in the journal. Empty if the service has no
+    systemd unit, because its events are then not in the journal."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

@@ -1,8 +1,8 @@
-"""Reason: makes a text from any object that a program gives as the reason of a stop.
+"""Reason: makes a text from any object that a program gives as the reason for a stop.
 
-The stop must not wait for code of the program, which may be slow or raise an error. So this module first makes a text
-without calling such code, from a string, a number or an exception. An object's own `__str__` is called only after the
-stop was sent.
+The stop must not wait for the program's own code, which may be slow or raise an error. So the first text comes from a
+string, a number or an exception, without calling such code. An object's own `__str__` is called only after the stop was
+sent.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ digits."""
 
 
 def plain(reason: object) -> tuple[str, bool]:
-    """Return (text, whole): the text of an object, as far as it can be made without calling the program's code, and
-    True if that is the whole text. Never raises."""
+    """Return (text, whole): the text that can be made without calling the program's code, and True if nothing is
+    missing from it. Never raises."""
     try:
         return _of_exception(reason) if issubclass(type(reason), BaseException) else _of_object(reason)
     except Exception:  # even the class's name can be code, if it has a metaclass
@@ -30,8 +30,8 @@ def plain(reason: object) -> tuple[str, bool]:
 
 
 def own(reason: object) -> str:
-    """The text of an object from its own `__str__`. Empty if the object's class has no `__str__`. This call may raise
-    any error, or never return, because it runs the program's code."""
+    """The text that str() makes of the object. Empty if its class has neither a `__str__` nor a `__repr__` of its own.
+    This runs the program's code, so it may raise any error, or never return."""
     kind = type(reason)
     if kind.__str__ is object.__str__ and kind.__repr__ is object.__repr__:
         return ""
@@ -40,8 +40,8 @@ def own(reason: object) -> str:
 
 
 def _of_exception(reason: object) -> tuple[str, bool]:
-    """Return (text, whole) as plain() does, from the class and the arguments of an exception. `whole` is False if the
-    exception has its own `__str__`, or if the text of an argument can't be made without calling the program's code."""
+    """plain() for an exception: the text of its class and arguments. `whole` is False if the exception has its own
+    `__str__`, or if plain() can't make the text of an argument."""
     kind = type(reason)
     arguments = BaseException.args.__get__(reason)  # type: ignore[attr-defined]  # whatever the class calls `args`
     told = [words for each in arguments if (words := _builtin(each)) is not None]

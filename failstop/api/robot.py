@@ -45,8 +45,8 @@ class Driving:
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
-    """The result of drive() if a source with a higher priority drives. Your command then moves nothing, and is not kept
-    for later. So keep sending commands."""
+    """The result of drive() if a source with a higher priority drives. Your command moves nothing and is not kept, so
+    keep sending commands."""
 
     by: str
     """The name and pid of the program that drives."""
@@ -75,8 +75,8 @@ Answer = Driving | Preempted | Blocked
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """Return (answer, final) for a command. `decided` is the gate's last decision. The gate may have made that decision
-    before it saw the command, so `final` is False if the gate's next decision could give another answer. Pure."""
+    """Return (answer, final) for a command. `decided`: the gate's last decision, which may be older than the command.
+    `final`: False if drive() should wait for the gate's next decision. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -115,26 +115,26 @@ class Calls(Session):
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """Return (answer, final) for the command of this source, as judge() does, from the gate's last decision."""
+        """Judge the command of this source by the gate's last decision. Returns (answer, final), as judge() does."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
-        """Report that the obstacle sensor has just delivered a reading. Call this at least every 0.5 s (setting
-        scan.timeout_s). If no program does, commands without manual=True are blocked with `no scan`, unless the setting
-        scan.gate is "off". Raises NoService."""
+        """Report that the obstacle sensor has just delivered a reading. Some program must call this at least every 0.5
+        s (setting scan.timeout_s). Otherwise commands without manual=True are blocked with `no scan`, unless the
+        setting scan.gate is "off". Raises NoService."""
         with self._lock:
             self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Report that these interlocks hold at this moment. Each name must be in the settings, as [interlocks.NAME]. An
-        interlock counts as lost if no call names it within its timeout, so call this again before the shortest timeout
-        ends. Name all interlocks of your program in every call, because the gate reads only the newest call. Motion can
-        be enabled only while all interlocks in the settings hold. When one is lost, motion is disabled.
+        """Report that these interlocks hold at this moment. Each must be in the settings, as [interlocks.NAME]. Name
+        all interlocks of your program in every call, because the gate reads only the newest call. An interlock is lost
+        if no call names it within its timeout, so repeat the call before the shortest timeout ends. Motion can be
+        enabled only while all interlocks in the settings hold. When one is lost, motion is disabled.
 
-        Raises Undeclared if one of these interlocks is not in the settings, and then reports none of them. Raises
-        NoService when no service is running.
+        Raises Undeclared if an interlock is not in the settings, and then reports none of them. Raises NoService when
+        no service is running.
         """
         with self._lock:
             run = self._current()
@@ -144,14 +144,15 @@ class Calls(Session):
     hold = Renamed("assert_interlocks")
 
     def attend(self, who: str, proven_ns: int | None = None) -> None:
-        """Report that an operator is present. Repeat this about every 0.1 s. If the setting attend.required is "on",
-        the robot moves only while an operator is present. `who` is the operator's name.
+        """Report that the operator `who` is present. Repeat this about every 0.1 s. If the setting attend.required is
+        "on", the robot moves only while an operator is present.
 
-        `proven_ns` is a time at which the operator was certainly present (CLOCK_MONOTONIC, ns), by default now. For
-        example, if the operator answers a question of your program, pass the time of the question. An operator counts
-        as gone after attend.lease_s (1 s) without a report, after leave(), and when your program ends. A Robot reports
-        only one operator at a time, so if you pass a new name, the previous operator counts as gone. If motion is
-        enabled and needs an operator, a stop is latched when the last operator is gone. Raises NoService.
+        `proven_ns`: a time at which the operator was certainly present (CLOCK_MONOTONIC, ns), by default now. For
+        example, if the operator answers a question of your program, pass the time of the question.
+
+        An operator is gone after attend.lease_s (1 s) without a report, after leave(), and when your program ends. A
+        Robot reports one operator at a time, so a new name replaces the previous operator. If motion is enabled and
+        needs an operator, a stop is latched when the last operator is gone. Raises NoService.
         """
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
@@ -165,20 +166,20 @@ class Calls(Session):
             self._client().write("attended", [who], t_ns=t_ns, wake=True)
 
     def say(self, sees: str, wrong: str = "") -> None:
-        """Tell people in one line what this program sees, and in another line what is wrong, if anything is. `failstop
+        """Show people one line about what this program sees, and another about what is wrong, if anything. `failstop
         status`, `failstop why`, `failstop doctor` and the events show the newest lines with the program's name. Each
-        line can have 190 bytes. Call this again every few seconds, because people see the age of old lines."""
+        line can have 190 bytes. Repeat this every few seconds, because people see the age of old lines."""
         with self._lock:
             self._client().write("said", sees, wrong)
 
     def estop(self, reason: object = "") -> None:
         """Latch a protective stop. This is a stop by software (category 2), not an emergency stop in the sense of ISO
-        13850. Motion stays off until reset() and enable(). Calling estop() needs no permission. It works with a service
-        of any version, and even on a closed Robot. Raises NoService if no service is running.
+        13850. Motion stays off until reset() and enable(). estop() needs no permission, and works with a service of any
+        version, even on a closed Robot. Raises NoService if no service is running.
 
         People see `stop request: REASON (says it is CLIENT, pid N)`. The name is only a claim, because anyone may ask
-        for a stop under any name. A reason longer than 180 bytes is cut. The reason may be any object, such as an
-        exception. The stop never waits for the object's `__str__`, so the text from it comes later, in the events.
+        for a stop under any name. The reason may be any object, such as an exception, and is cut to 180 bytes. The stop
+        never waits for the object's `__str__`, so the text from it comes later, in the events.
         """
         send_stop(self.name, reason, self.client_name)
 
@@ -191,17 +192,17 @@ class Calls(Session):
         return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
-        """Explain why the wheels are stopped, what proves that they are stopped, and what to do. str() of the result
-        has the three lines that `failstop why` prints. Raises NoService, FailstopError."""
+        """Explain why the wheels are stopped, what proves it, and what to do. str() of the result is the text that
+        `failstop why` prints. Raises NoService, FailstopError."""
         from failstop.api.why import explain  # imported only here, because driving does not need it
 
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """The Imu and Pad samples since the last call, and the newest Odometry. Each sample has a time, and is returned
-        only once. The collection of Imu and Pad samples starts with the first call, so that call returns no earlier
-        ones. After a restart of the service, the collection starts again with the next call. Samples that telemetry
-        reads from the port together have the same time. Raises NoService, FailstopError."""
+        """Return the Imu and Pad samples since the last call, and the newest Odometry. Each sample has a time, and is
+        returned only once. Imu and Pad samples are collected from the first call on, and after a restart of the service
+        again from the next call on. Samples that telemetry reads from the port together have the same time. Raises
+        NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 
@@ -214,8 +215,8 @@ class Calls(Session):
 
 class AsyncRobot(Calls):
     """A robot for asyncio, from `Robot.connect()`. It is an asynchronous context manager, and belongs to one event
-    loop. Only enable, disable, reset, limit_speed and wait_for are awaited. AsyncRobot has every method of Robot. A
-    method that is not documented under AsyncRobot works as it does in Robot."""
+    loop. It has every method of Robot, and only enable, disable, reset, limit_speed and wait_for are awaited. A method
+    that is not documented here works as in Robot."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -270,26 +271,26 @@ class AsyncRobot(Calls):
         return await _through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """Like Robot.events, but you iterate with `async for event in robot.events()`. It yields every event since the
-        call to events(), even if a task begins to iterate later. Raises NoService when the service ends."""
+        """Like Robot.events, but for `async for event in robot.events()`. It yields every event since this call, even
+        if a task begins to iterate later. Raises NoService when the service ends."""
         return _follow(EventLog(self.name, past=past))
 
 
 class Robot(Calls):
-    """A connection to the running service whose name is `name`. A Robot is a context manager.
+    """A connection to the running service `name`. A Robot is a context manager.
 
-    Calls that only read the service's state or events need no permission, and neither does estop(). Any other call
-    needs one of the service's client slots. The Robot takes a slot at the first such call. To take a slot, the
-    program's user must be in the group `failstop`, or be the service's user.
+    Calls that only read the service's state or events need no permission, and neither does estop(). The first other
+    call takes one of the service's client slots. For that, the program's user must be in the group `failstop`, or be
+    the service's user.
 
-    If the service is restarted, the next call uses the new run of the service. Motion is not enabled in a new run.
-    While no service is running, wait_for() keeps waiting, and the other calls raise NoService. After close(), calls
-    raise FailstopError, in every thread; only estop(), events() and close() still work. A Robot that is freed gives its
-    slot back. In a forked child, the Robot takes a slot of its own.
+    If the service is restarted, the next call uses its new run, in which motion is not enabled. While no service is
+    running, wait_for() keeps waiting, and the other calls raise NoService. After close(), calls raise FailstopError, in
+    every thread; only estop(), events() and close() still work. A Robot that is freed gives its slot back. In a forked
+    child, the Robot takes a slot of its own.
 
-    Several threads may use one Robot. For the service it is one client, so the newest drive() counts, whichever thread
-    has called it. A Robot that holds a slot has an extra thread, which only sleeps. When the program dies, the gate
-    notices the end of this thread at once, however long the kernel takes to free the program's memory.
+    Several threads may use one Robot. For the service it is one client, so the newest drive() of any thread counts. A
+    Robot that holds a slot has an extra thread, which only sleeps. The end of this thread shows the gate at once that
+    the program has died, however long the kernel takes to free the program's memory.
     """
 
     connect = AsyncRobot
@@ -314,19 +315,19 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. The command is valid only for the timeout
-        of its source (0.3 s unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are
-        clamped. After a restart of the service nothing moves until you enable motion again.
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. Values beyond the limits are clamped.
+        Repeat the command, because it is valid only for the timeout of its source (0.3 s unless the settings say
+        otherwise, 2 s at most). After a restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. If this
-        source already drives, if a stop is latched, or if motion is disabled, drive() returns at once. If not, it waits
-        until the gate lets this source drive (0.3 ms on an idle machine), but at most `wait_s`. If this source was
-        already driving, or if `wait_s` is very short, the answer may still be about your previous command.
+        Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
+        waits at most `wait_s` until the gate lets this source drive (0.3 ms on an idle machine). It returns at once if
+        this source already drives, a stop is latched, or motion is disabled. If this source was already driving, or if
+        `wait_s` is very short, the answer may still be about your previous command.
 
-        `proven_ns` is the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
-        The command's timeout counts from it. Pass it for commands that may be delayed, for example by a network. Pass
-        manual=True if a person drives; the command then works even without an obstacle sensor. `source` is a name from
-        the settings' [sources].
+        `proven_ns`: the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
+        The timeout counts from it, so pass it for commands that may be delayed, for example by a network. `manual`:
+        True if a person drives; the command then needs no obstacle sensor. `source`: a name from the settings'
+        [sources].
 
         Raises ValueError for a value that is not finite, Undeclared (also a ValueError) for a source that the settings
         do not name, NoService when no service is running.
@@ -348,28 +349,27 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command the speed of each wheel, rad/s, positive forward. The wheels are in the order of
-        `state.wheels_radps.names`. For a steered base, pass the speeds of the rear wheels. These speeds then set how
-        fast the base goes and how it turns. If you also pass `steering_rad` (positive to the left), the mean of the
-        wheel speeds sets how fast the base goes, and the angle sets how it turns.
+        """Command the speed of each wheel, rad/s, positive forward, in the order of `state.wheels_radps.names`. For a
+        steered base, pass the speeds of the rear wheels, which set how fast the base goes and how it turns. If you also
+        pass `steering_rad` (positive to the left), their mean sets how fast the base goes, and the angle sets how it
+        turns.
 
-        drive_wheels() uses the sizes in the settings to compute the velocity of the base at these wheel speeds. It then
-        calls drive() with that velocity, so all limits, ramps, sources and results are those of drive(). A limit slows
-        all wheels in the same proportion. Four mecanum wheels get the closest speeds that they can roll without slip.
-        Raises what drive() raises. Also raises ValueError if the number of speeds is not the robot's number of wheels,
-        or if you pass an angle for a base without steering.
+        The sizes in the settings turn these speeds into a velocity of the base, which is passed to drive(). So all
+        limits, ramps, sources and results are those of drive(). A limit slows all wheels in the same proportion. Four
+        mecanum wheels get the closest speeds that they can roll without slip. Raises what drive() raises. Also raises
+        ValueError for a wrong number of speeds, or for an angle on a base without steering.
         """
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
 
     def enable(self, progress: Progress = None) -> str:
-        """Enable motion. It is better to let a person do it (`failstop enable`) and use wait_for("enabled") in the
-        program. A program that enables motion by itself drives off unattended when it is restarted after a crash.
+        """Enable motion. Better let a person do it (`failstop enable`), and use wait_for("enabled") in the program. A
+        program that enables motion by itself drives off unattended when it is restarted after a crash.
 
         If the robot has an arm, the arm first moves to its drive pose, which takes seconds. `progress` is called with
         each text about this move. arm.hold(), disable() or a stop ends the move, and motion stays disabled. Raises
-        Refused, with the reason in its text. For example, a stop is latched, the service is not ready, an interlock
-        does not hold, no operator is present, or the robot was stopped after this call was made.
+        Refused with the reason: for example, a stop is latched, the service is not ready, an interlock does not hold,
+        no operator is present, or the robot was stopped after this call was made.
         """
         return sleep_through(self._asking(records.ENABLE, progress))
 
@@ -381,8 +381,8 @@ class Robot(Calls):
         """Clear the latched stop. Motion stays disabled until enable(). If nothing is latched, this changes nothing.
         Raises Refused if the robot was stopped again after this call was made.
 
-        If a person has decided on the reset by looking at a State, pass the `epoch` of that State as `seen`. reset()
-        then also raises Refused if the robot was stopped after that State was read.
+        `seen`: the `epoch` of a State, if a person has decided on the reset by looking at that State. reset() then also
+        raises Refused if the robot was stopped after that State was read.
         """
         return sleep_through(self._resetting(seen))
 
@@ -393,16 +393,15 @@ class Robot(Calls):
         return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """Wait for a state, and return it. `what` is a word such as "enabled" (docs/python.md lists them), or a
-        function that returns True for the wanted State. wait_for() keeps waiting even while no service is running.
-        Raises ValueError for an unknown word. After `timeout_s` it raises TimedOut, which says what the state is and
-        what to do, or NoService if no service is running."""
+        """Wait for a state, and return it. `what`: a word such as "enabled" (docs/python.md lists them), or a function
+        that returns True for the wanted State. The wait goes on even while no service is running. Raises ValueError for
+        an unknown word. After `timeout_s`, raises TimedOut with the state and what to do, or NoService if no service is
+        running."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """The service's events as they happen, such as stops, deaths and requests (docs/logs.md). The iterator waits
-        for each next event. `past`: begin with the earlier events of this run (the last 256). Raises NoService when the
-        run ends."""
+        """Iterate over the service's events as they happen, such as stops, deaths and requests (docs/logs.md). `past`:
+        begin with the earlier events of this run (the last 256). Raises NoService when the run ends."""
         return EventLog(self.name, past=past).follow()
 
 

@@ -1,7 +1,7 @@
 """Session: a program's connection to one service, with the client slot and the requests.
 
-A call that takes time is a generator that yields whenever it must wait. During that wait, a call of Robot lets the
-whole thread sleep, but a call of AsyncRobot only its task.
+A call that takes time is a generator that yields whenever it must wait. Robot then lets the whole thread sleep,
+AsyncRobot only the task.
 """
 
 from __future__ import annotations
@@ -44,9 +44,8 @@ POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """How long to sleep before checking again for an answer, in seconds. `begun_s`: when the wait began
-    (time.monotonic()). The pauses get longer, because an answer that has not come after a few checks usually takes much
-    longer."""
+    """How long to sleep before checking again for an answer, in seconds. The pauses get longer with the wait.
+    `begun_s`: when the wait began (time.monotonic())."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
@@ -94,14 +93,14 @@ class Session:
         answer_s: float = ANSWER_S,
         disable_on_exit: bool = True,
     ) -> None:
-        """Connect to the service `name`. `client` is the name under which others see this program; by default it is the
-        program's file name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: True to
-        disable motion when this Robot is closed or its `with` block ends, but only if this Robot has enabled motion.
-        With False, motion stays enabled for other programs.
+        """Connect to the service `name`. `client`: the name under which others see this program, by default its file
+        name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: True to disable motion
+        at close() or at the end of the `with` block, but only if this Robot has enabled it. With False, motion stays
+        enabled for other programs.
 
         Raises NoService when no service is running, FailstopError for an invalid name. Other errors, such as a
-        different version of the service, are raised only by the calls that drive or read the state, so that estop()
-        works anyway.
+        different version of the service, are raised only by calls that drive or read the state, so that estop() works
+        anyway.
         """
         self.name = name
         self.client_name = client or own_name()
@@ -138,10 +137,10 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot has enabled motion, and must disable it at its end. False if the gate does that: if a
-        program that has driven dies of an exception (`in_order` is False), the gate disables motion and reports which
-        driver has died, unless the setting gate.driver_death is "stay". Also False if the program has chosen
-        disable_on_exit=False. Raises FailstopError."""
+        """True if this Robot has enabled motion, and must disable it at its end. False if the program chose
+        disable_on_exit=False. Also False if a program that has driven dies of an exception (`in_order` is False),
+        because the gate then disables motion and reports which driver has died. If the setting gate.driver_death is
+        "stay", the gate does not, so this is True. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -164,8 +163,8 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The service's present run. If the run has ended because its supervisor died, the state of that run can still
-        be read until its other processes have ended. Raises NoService, FailstopError."""
+        """The service's present run. After its supervisor has died, the run's state can still be read until its other
+        processes have ended. Raises NoService, FailstopError."""
         self._check_open()
         run = self._run  # kept in a variable, because a signal handler may close this object meanwhile
         if run is None or run.over():
@@ -220,15 +219,15 @@ class Session:
     ) -> Steps[str]:
         """Send one request to the gate, and wait for the answer.
 
-        The gate keeps only the newest request of each client, so the requests of several threads or tasks are sent one
-        after the other. While a long request such as a move of the arm is under way, other requests may be sent,
-        because one of them may be meant to end the move.
+        The gate keeps only the newest request of each client, so several threads or tasks send theirs one after the
+        other. While a long request such as a move of the arm is under way, others may be sent, because one of them may
+        be meant to end the move.
 
-        `progress` is called with each text about the progress. `about`: the name of a record that must be written
-        before the request, and then the values of that record. `asked_ns`: when the request was made, by default now.
-        If a stop comes between that time and the answer, the service refuses a request that could start motion, and a
-        reset, because the caller did not know about that stop. `awaited`: True if only a task of an event loop waits;
-        False if the whole thread waits, with all tasks in it. Raises Refused, NoAnswer, NoService, FailstopError.
+        `progress`: called with each text about the progress. `about`: the name and the values of a record that must be
+        written before the request. `asked_ns`: when the request was made, by default now. After a stop since then, the
+        service refuses a reset and any request that could start motion, because the caller did not know about that
+        stop. `awaited`: True if only a task of an event loop waits; False if the whole thread waits, with all tasks in
+        it. Raises Refused, NoAnswer, NoService, FailstopError.
         """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
@@ -283,10 +282,9 @@ class Session:
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
         """Send a request, and return the client, the run and the request's number. Return None if this request must
-        wait for its turn, because another thread or task is waiting for an answer. A request does not wait for code
-        that can't go on before the request is done. So the request of a signal handler does not wait for the code that
-        the handler has interrupted, and a request that blocks its whole thread does not wait for the tasks in that
-        thread."""
+        wait for its turn, because another thread or task is waiting for an answer. A request never waits for code that
+        it blocks itself. So the request of a signal handler does not wait for the interrupted code, and a request that
+        blocks its whole thread does not wait for the tasks in that thread."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending

@@ -16,8 +16,7 @@ PadMode = Literal["locked", "drive", "joint"]
 
 
 class Block(enum.Enum):
-    """Why the wheels may not turn. If several reasons apply, `State.block` is the one that comes first in this
-    class."""
+    """Why the wheels may not turn. If several reasons apply, `State.block` is the first in the order of this class."""
 
     LATCHED = "latched"
     """A stop is latched (`State.cause`). It needs a reset."""
@@ -34,8 +33,7 @@ class Block(enum.Enum):
 
     @classmethod
     def of(cls, text: str | None) -> Block | None:
-        """The Block for a text of the gate (`State.blocked`). Returns None if the text is None, because then nothing is
-        blocked."""
+        """The Block for a text of the gate (`State.blocked`). None if the text is None."""
         told = {
             box.DISABLED: cls.DISABLED,
             box.HELD: cls.HELD,
@@ -80,8 +78,8 @@ class Turning:
     """What the wheels do: turning, still, or unknown. It is unknown if there was no reading yet, or if the newest
     reading is more than half a second old."""
     by: Literal["", "IMU", "wheels"] = ""
-    """How `does` is known. `wheels`: the board reports about the wheels. `IMU`: the IMU feels whether the robot moves,
-    which does not show whether the wheels turn in the air, or whether somebody moves the robot. Empty if `does` is
+    """How `does` is known. `wheels`: the board reports about the wheels. `IMU`: the IMU feels whether the robot moves.
+    It can't feel wheels that turn in the air, and it also feels a robot that somebody moves. Empty if `does` is
     unknown."""
     unexpected: bool = False
     """True if the wheels still turn although zero was commanded longer ago than the setting `still.after_s`."""
@@ -121,15 +119,14 @@ class Ages:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """The result of checking the setting board.per_rps. The check compares how fast the wheels turn with how fast they
-    are commanded to turn."""
+    """The result of checking the setting board.per_rps: how fast the wheels turn, compared with how fast they are
+    commanded to turn."""
 
     capped: str = ""
     """Says that speeds are capped, and how to end that. Empty once a person has confirmed board.per_rps."""
     wheels: float | None = None
-    """Measured wheel speed divided by commanded wheel speed. None if not known, and always None if the board reports
-    speeds in the same unit in which they are commanded. The ratio would then be right even with a wrong
-    board.per_rps."""
+    """Measured wheel speed divided by commanded wheel speed. None if not known. Always None if the board reports and
+    takes speeds in the same unit, because the ratio would then be right even with a wrong board.per_rps."""
     turn: float | None = None
     """The robot's turn rate as the gyro measures it, divided by the commanded turn rate. None if not known."""
     wrong: tuple[str, ...] = ()
@@ -239,8 +236,8 @@ class Device:
     imu: bool = True
     """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """If motion is commanded but the board reports that it obeys a speed of zero: for how long it has reported this, in
-    s. Otherwise None."""
+    """For how long the board has reported that it obeys a speed of zero although motion is commanded, in s. None if it
+    does not report that."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,8 +262,8 @@ class Client:
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A source of commands. A source is listed while its last command has not expired. It is also listed if it fell
-    silent while the wheels turned."""
+    """A source of commands. It is listed until its last command expires, and also if it fell silent while the wheels
+    turned."""
 
     source: str
     """Its name in the settings, or `gamepad`."""
@@ -280,15 +277,14 @@ class Source:
     paused. silent: it stopped sending commands while the wheels turned."""
 
     def __str__(self) -> str:
-        """The name of the program that commands, with the name of the source. The source is left out if it is cmd_vel,
-        which programs use by default."""
+        """The program that commands, and the name of the source unless it is cmd_vel, the default."""
         return self.who if self.source == FIRST_SOURCE else f"{self.who} as {self.source}"
 
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
     """The longest time for which the machine was too busy to run a process of the service. If motion is enabled at such
-    a time, the robot is stopped. These values are shown until no such time has come for ten minutes."""
+    a time, the robot is stopped. The values are shown until ten minutes pass without such a time."""
 
     longest_s: float
     """For how long the machine did not run the process, in s."""
@@ -301,14 +297,14 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """The gyro's bias, which is what the gyro shows at rest. It is subtracted from every reading."""
+    """The gyro's reading at rest. It is subtracted from every reading."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
     tracking: bool
     """True if the bias is being updated from the gyro's readings at present."""
     calibrated: bool
-    """True if the bias was measured after the service was started, which needs a robot that stays at rest for long
+    """True if the bias was measured after the service was started. For that, the robot must stay at rest for long
     enough."""
 
 
@@ -329,9 +325,9 @@ DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, r
 
 
 class Odometry(NamedTuple):
-    """The robot's pose and velocity. The pose is relative to where the robot was when the service was started. Both are
-    computed from the board's reports about how far the wheels have turned, or if the board sends no such reports, from
-    the commands (see `source`)."""
+    """The robot's velocity, and its pose relative to where the service was started. Both are computed from how far the
+    board reports that the wheels have turned. Without such reports, they are computed from the commands (see
+    `source`)."""
 
     t_ns: int
     """The time of the pose (CLOCK_MONOTONIC, ns). If the pose is computed from the board's reports, this is the time of
@@ -409,8 +405,8 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """The best known angle of the joint, rad. If an angle is commanded, it is the commanded angle, because a servo
-        is not asked for its position while it moves. If not, it is the measured angle. None if neither is known."""
+        """The best known angle of the joint, rad: the commanded angle, or else the measured one. None if neither is
+        known. The commanded angle comes first, because a servo is not asked for its position while it moves."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
@@ -458,8 +454,8 @@ class State:
     estop: str | None
     """The text of `cause`. None if no stop is latched."""
     cause: Cause | None
-    """The cause of the latched stop; None if no stop is latched. If the robot was stopped more than once since the last
-    reset, this is the cause of the first of these stops."""
+    """The cause of the latched stop; None if no stop is latched. After several stops since the last reset, it is the
+    cause of the first one."""
     blocked: str | None
     """Why the wheels may not turn, in the gate's words. None if they may turn. Programs should use `block`, which has
     fixed values."""
@@ -553,13 +549,12 @@ class State:
         return self.blocked is None and any(self.wheels_radps)
 
     def source_that(self, state: str) -> Source | None:
-        """The source with the highest priority among those in this state: drives, waits, held or silent. None if no
-        source is in this state."""
+        """The source with the highest priority in this state (drives, waits, held or silent), or None."""
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """True if a reading of this age describes the present, because it is fresh, the port is open, and the board
-        still sends something."""
+        """True if a reading of this age describes the present: it is fresh, the port is open, and the board still sends
+        something."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 

@@ -125,8 +125,8 @@ class StateReader(SeenRun):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """The samples from the board's reports since the last call, in order. The newest odometry follows, if it has
-        changed since the last call."""
+        """The samples from the board's reports since the last call, in order, and then the newest odometry if it has
+        changed."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -152,8 +152,8 @@ class StateReader(SeenRun):
 
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
-        """(index, factor) for each wheel. `index`: where the wheel's speed is in the gate's record. `factor`: the speed
-        times this factor is in rad/s, positive forward."""
+        """(index, factor) for each wheel. `index`: the place of the wheel's speed in the gate's record. `factor`:
+        converts that speed to rad/s, positive forward."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     @cached_property
@@ -174,15 +174,14 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """The commanded angle of the steered wheels, which is the last value of `speeds`, after the speeds of the
-        wheels. None on a base without steering. Also None if no wheel is commanded to turn, because the angle means
-        nothing then."""
+        """The commanded angle of the steered wheels, which comes after the wheels' speeds in `speeds`. None on a base
+        without steering, and while no wheel is commanded to turn. The angle means nothing then."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """Return NOTHING_YET. If the robot needs an operator, the result also says that no operator is present."""
+        """Return NOTHING_YET, with no operator present if the robot needs an operator."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
@@ -261,15 +260,13 @@ class StateReader(SeenRun):
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """Read only the part of the state that drive() needs, because a program calls drive() very often. Returns five
-        values: the gate's decision; the cause of the latched stop (None if no stop is latched); the epoch; when the
-        gate published its decision (ns); and True if the supervisor is dead. If the gate has not published a decision
-        in this run yet, the decision is that motion is disabled, and its time is the start of the run. Raises
-        FailstopError.
+        values: the gate's decision; the cause of the latched stop, or None; the epoch; when the gate published its
+        decision (ns); and True if the supervisor is dead. Before the gate's first decision in this run, motion is
+        disabled, and the time is the start of the run. Raises FailstopError.
 
         A latched stop counts here at once, even if the gate has not reacted to it, for example because the gate hangs.
         This is correct, because the port owner refuses motion frames from before the stop, and a new gate begins with
-        the latched stop. The death or the silence of the supervisor also counts as a stop here, whatever the gate
-        publishes.
+        the latched stop. A dead or silent supervisor also counts as a stop here, whatever the gate publishes.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
@@ -307,14 +304,14 @@ class StateReader(SeenRun):
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
         """Return three values: after how many seconds the board's own watchdog acts, what the watchdog does, and True
-        if the robot has an IMU. If the user's own code describes the board, its watchdog is not known here, because a
-        client does not run that code."""
+        if the robot has an IMU. The watchdog of your own board is not known here, because a client does not run the
+        board's code."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. Nobody updates
-        its table any more, but the states are known: the gate and telemetry die with the supervisor, and the other two
+        """The processes by name, from the supervisor's table. `dead`: True if the supervisor has died. Its table is
+        then out of date, but the states are known: the gate and telemetry die with the supervisor, and the other two
         processes end soon."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
@@ -349,8 +346,7 @@ class StateReader(SeenRun):
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """What telemetry knows about the wheels. If the newest reading is too old, what the wheels do at present is
-        unknown."""
+        """What telemetry knows about the wheels. After OLD_READING_NS, a reading no longer shows what the wheels do."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -376,8 +372,9 @@ class StateReader(SeenRun):
         return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
-        """Convert turns to rad, positive forward. The given values are in the order of the ids on the wire; the result
-        is in the order of the wheels. None if the board does not report one of the wheels."""
+        """Convert turns to rad, or turns per second to rad/s, positive forward. The given values are in the order of
+        the ids on the wire; the result is in the order of the wheels. None if the board does not report one of the
+        wheels."""
         if not values or any(value != value for value in values):  # NaN
             return None
         return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
@@ -390,8 +387,8 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """Make an object from a record whose values have the same names as the object's fields. Times in the record are
-    converted to s. `known` has more fields for the object, by name."""
+    """Make an object from a record with the names of the object's fields. Times in the record are converted to s.
+    `known`: more fields, by name."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:

@@ -56,8 +56,8 @@ class Step(NamedTuple):
 
     @property
     def pressed(self) -> str:
-        """The step as a sentence for the web page. Empty if the page shows no text for this step. Not for a step whose
-        `clause` is None."""
+        """The step as a sentence for the web page; empty if the page shows none. `clause` must not be None (todo()
+        fills it in)."""
         return words.sentence(self.clause) if self.clause else ""
 
 
@@ -87,8 +87,8 @@ def is_stick(source: Source | None) -> bool:
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """Two texts, for the terminal and for the page, that ask people to wait until the gate is running again. Nobody
-    needs to start the gate, because the supervisor starts it after a pause."""
+    """Two texts, for the terminal and for the page, that ask people to wait for the gate. The supervisor starts the
+    gate after a pause."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
@@ -96,9 +96,9 @@ def _for_the_gate(state: State) -> tuple[str, str]:
 
 
 def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
-    """All possible steps, each with the condition under which it is needed. In each group, only the first step whose
-    condition holds is used. `known`: True if the reader already knows which interlock does not hold. `how`: the texts
-    for the page, HERE, BY_STICK or ELSEWHERE."""
+    """All possible steps, each with the condition under which it is needed. Only the first needed step of each group is
+    used. `known`: True if the reader already knows which interlock does not hold. `how`: the texts for the page, HERE,
+    BY_STICK or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -181,9 +181,8 @@ def line(state: State) -> str:
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event] = ()) -> str:
-    """One sentence for the page: what to do first. Normally it is the first step. But if a stop may not have reached
-    the board, it tells people to use the power switch, unless the first step says so already, or repairs the service or
-    the port. Empty if nothing needs to be done."""
+    """One sentence for the page: the first step. If a stop may not have reached the board, the sentence is about the
+    power switch instead, unless the first step is POWER or MEND anyway. Empty if nothing needs to be done."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state, events) and not sure:
@@ -192,12 +191,12 @@ def pressed(state: State, how: Mapping[str, str] = HERE, events: Sequence[Event]
 
 
 def before(state: State, goal: Purpose) -> list[Step]:
-    """The steps that must come before a reset or an enable, because otherwise the service refuses it."""
+    """The steps without which the service refuses this reset or enable."""
     return [step for step in todo(state) if step.purpose in REFUSED_WITHOUT[goal]]
 
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
-    """The next steps after a reset or an enable was refused, in one line. Empty if the state no longer shows a reason
-    for a refusal, so that people can simply repeat the request. `known`: True if the refusal has already told the
-    reader which interlock does not hold."""
+    """The next steps after a refused reset or enable, in one line. Empty if the state no longer shows a reason for a
+    refusal: people can then repeat the request. `known`: True if the refusal has named the interlock that does not
+    hold."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

@@ -74,16 +74,15 @@ def unreached(state: State) -> str:
 
 
 def link(state: State) -> str:
-    """What the board's answers prove, as a clause. If the port is not open they prove nothing, so the clause is about
-    the port."""
+    """What the board's answers prove, as a clause. If the port is not open, the clause is about the port."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}"
     return LINKS[state.device.link]
 
 
 def reached(state: State) -> str:
-    """How it is known that the latched stop has reached the wheels, as a clause. Empty if it is not known, or if there
-    is a reason to doubt it."""
+    """How it is known that the latched stop has reached the wheels, as a clause. Empty if it is not known, or in
+    doubt."""
     stop = state.last_stop
     if state.cause is None or doubt(state):
         return ""
@@ -105,8 +104,8 @@ def doubt(state: State) -> str:
 
 
 def unseen(state: State) -> str:
-    """What people must know about the wheels in addition to word(), for example that nothing shows what the wheels do.
-    Empty if word() says enough, or if doubt() has a text."""
+    """What people must know about the wheels in addition to word(), for example that nothing shows what they do. Empty
+    if word() is enough, or if doubt() has a text."""
     found = row(state)
     return "" if found.alarm else found.text
 
@@ -121,8 +120,8 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """How long the board has reported zero speed although motion is commanded, in words. Empty if it does not report
-    that, or has reported it for less than UNHEEDED_S."""
+    """For how long the board has reported zero speed although motion is commanded, as a clause. Empty if it does not
+    report that, or has reported it for less than UNHEEDED_S."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
@@ -136,16 +135,16 @@ def word(state: State) -> str:
 
 
 def proven_word(state: State) -> str:
-    """The word about the wheels: COMMANDED if the board reports zero speed although motion is commanded, and otherwise
-    word(). If the word is unproven, the text says so, and why."""
+    """word(), or COMMANDED if the board reports zero speed although motion is commanded. If the word is unproven, the
+    text says so, and why."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State, events: Sequence[Event] = ()) -> str:
-    """The word for a screen that people read from a distance. If the wheels turn or may turn although nobody wants
-    that, the word says so. If motion is enabled, it says that the robot moves or can move. If not, it says what is
+    """The word for a screen that people read from a distance. It warns of wheels that turn or may turn although nobody
+    wants that. Otherwise, if motion is enabled, it says that the robot moves or can move. If not, it says what is
     proven about the stopped wheels."""
     found = row(state)
     if found.alarm:
@@ -157,9 +156,9 @@ def large_word(state: State, events: Sequence[Event] = ()) -> str:
 
 def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
     """What is proven about stopped wheels, in a word. `seen`: the word for what is seen. The proofs are those of the
-    last latched stop. If the wheels were stopped later without a latch, these proofs do not count, but only what is
-    seen. Bytes that are still in the kernel prove nothing about the board. An IMU that felt no movement before the stop
-    proves nothing about the wheels."""
+    last latched stop. They do not count if the wheels were stopped later without a latch. Bytes that are still in the
+    kernel prove nothing about the board. An IMU that felt no movement before the stop proves nothing about the
+    wheels."""
     stop = state.last_stop
     if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen
@@ -186,14 +185,13 @@ def headline(state: State) -> str:
 
 
 def down(state: State) -> list[str]:
-    """The names of processes that are not running because they have died too often. They are started again only after a
-    pause or a reset."""
+    """The names of processes that have died too often. They are started again only after a pause or a reset."""
     return [name for name, process in state.processes.items() if process.state == "down"]
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """The end of a sentence about a process that is not running as it should. It says what the process does instead,
-    and when it will start again. `ended`: a clause about how the previous process with the same name ended."""
+    """The end of a sentence about a process that is not running: what the process does instead, and when it will start
+    again. `ended`: a clause about how the previous process with the same name ended."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -202,8 +200,7 @@ def absence(process: Process, ended: str = "") -> str:
 
 
 def no_answer(state: State) -> str:
-    """Why the gate answers no requests, with the remedy. Empty while the gate is running, because the state of a
-    running gate shows no reason."""
+    """Why the gate answers no requests, with the remedy. Empty while the gate is running."""
     gate = state.processes[GATE]
     if gate.state == "running":
         return ""
@@ -219,7 +216,7 @@ def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
 
 def left_off(events: Sequence[Event]) -> Event | None:
     """The newest event about a driver that stopped driving while the wheels turned. None if there is no such event, or
-    if a later event, such as a stop or a new enable, has made it out of date."""
+    if a later stop, enable or similar event has made it out of date."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
@@ -234,9 +231,9 @@ def unlatched(state: State, events: Sequence[Event]) -> Event | None:
 
 
 def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
-    """Return the state without an observation that does not show whether the last stop has worked. If the wheels were
-    seen still only before they were stopped, `turning.does` is unknown in the result. The IMU's observation covers half
-    a second, so all of that half second must be after the stop. `now_s`: Unix time."""
+    """Return the state without an observation that is older than the last stop. If the wheels were seen still only
+    before that stop, `turning.does` becomes unknown. The IMU's observation covers half a second, so all of that half
+    second must be after the stop. `now_s`: Unix time."""
     known, stop, event = state.turning, state.last_stop, unlatched(state, events)
     told_s = event.t if event else stop.t if stop else None
     if known.does != "still" or told_s is None:
@@ -249,8 +246,8 @@ def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """For each process, a clause about how the previous process with the same name ended. If the
-    supervisor killed that process because it hung, the clause says so. The exit status alone would not show this."""
+    """For each process, a clause about how the previous process with the same name ended. The clause also says if the
+    supervisor killed that process because it hung, which the exit status does not show."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}

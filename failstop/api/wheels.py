@@ -1,7 +1,7 @@
 """Wheels: decides what a screen may say about the wheels, from what is commanded and what is observed. Pure.
 
-`State.turning` is the only source for what the wheels really do. The cause of a latched stop says nothing about that,
-because wheels that were seen still after a stop may turn again hours later.
+Only `State.turning` says what the wheels really do. The cause of a latched stop does not, because wheels that were seen
+still after a stop may turn again hours later.
 """
 
 from __future__ import annotations
@@ -131,22 +131,20 @@ def seen(state: State) -> Seen:
 
 
 def commanded(state: State, unreached: str) -> Commanded:
-    """What the wheels are commanded to do. `unreached`: why bytes may not reach the board, or empty, as
-    verdict.unreached() returns it."""
+    """What the wheels are commanded to do. `unreached`: the text from verdict.unreached()."""
     if unreached:
         return Commanded.NOBODY_KNOWS
     return Commanded.MOTION if state.moving else Commanded.ZERO
 
 
 def row(state: State, unreached: str) -> Row:
-    """What a screen may say about the wheels. `unreached`: why bytes may not reach the board, or empty, as
-    verdict.unreached() returns it."""
+    """What a screen may say about the wheels. `unreached`: the text from verdict.unreached()."""
     return TABLE[commanded(state, unreached), seen(state)]
 
 
 def now(state: State) -> str:
-    """A text about what is observed: what the wheels do, their speeds if the board reports these, who observes it, and
-    how old the reading is."""
+    """What is observed about the wheels, as text: what they do, their speeds if the board reports these, who observes
+    it, and how old the reading is."""
     known, found = state.turning, seen(state)
     text = SEEN[found]
     if found is Seen.STILL and known.by == "IMU":

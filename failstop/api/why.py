@@ -30,7 +30,8 @@ acknowledged by the board yet". After that, it leaves out "yet"."""
 
 @dataclasses.dataclass(frozen=True)
 class Why:
-    """The answer to "why are the wheels stopped?". str() returns its three lines."""
+    """The answer to "why are the wheels stopped?". str() returns its three lines, and a line for each fault in
+    `also`."""
 
     what: str
     """Why the wheels are stopped, and since when. If nothing stops them, it says which velocity is commanded, and by
@@ -51,7 +52,7 @@ class Why:
         return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines, each with its label. Every fault in `also` has a line of its own."""
+        """The lines of the answer, each with its label."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
 
@@ -117,8 +118,8 @@ def _holds(state: State) -> str:
 
 
 def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
-    """Return two texts: what has happened, and what to check before a reset. Each text continues a sentence. `reached`:
-    how it is known that the stop has reached the wheels (`verdict.reached`)."""
+    """Return two texts that continue a sentence: what has happened, and what to check before a reset. `reached`: the
+    text from verdict.reached()."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
@@ -146,8 +147,7 @@ def _free(state: State) -> str:
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
-    """Return two values about the present block: when it began (Unix time, s; None if not known), and a text about what
-    caused it."""
+    """When the present block began (Unix time, s; None if not known), and a text about its cause."""
     stop = state.last_stop
     if state.cause:
         begun = stop.t if stop and stop.cause == state.cause else None
@@ -171,9 +171,8 @@ UNTIMED = "this stop was not timed, because only latched stops are"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
-    """What proves that the wheels are stopped, as text. If the last latched stop is the reason why they are stopped,
-    the text gives the proofs of that stop. If not, those proofs say nothing about the present, so the text says only
-    what the board's answers prove."""
+    """What proves that the wheels are stopped, as text. If the last latched stop is why they are stopped, the text
+    gives the proofs of that stop. If not, the text says only what the board's answers prove."""
     stop = state.last_stop
     if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -188,8 +187,8 @@ def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
 
 
 def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
-    """True if this stop is the reason why the wheels are stopped. This is so while the stop is latched, and also after
-    its reset, until something enables or disables motion."""
+    """True if this stop is why the wheels are stopped. That holds while it is latched, and after its reset until
+    something enables or disables motion."""
     if state.block is not Block.DISABLED:
         return stop.cause == state.cause
     change = verdict.newest(events, verdict.CHANGES)
@@ -198,9 +197,8 @@ def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
     """The three proofs of a stop, each as (text, proven). `proven` is True, False, or None if no proof is possible: the
-    wheels were already still before the stop, nothing observes the wheels, or this board never acknowledges a stop. If
-    the stop could not be written, the list has only one text, which says so. `link`: the state of the connection to the
-    board."""
+    wheels were already still before the stop, nothing observes them, or this board never acknowledges a stop. A stop
+    that could not be written has only one text, which says so. `link`: the state of the connection to the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -227,8 +225,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Faults other than the reason for the stop, in words. They include what clients report as wrong. While the wheels
-    wait for a client (WAITS), they also include what clients see."""
+    """Faults other than the reason for the stop, in words, including the faults that clients report. While the wheels
+    wait for a client (WAITS), the texts also say what clients see."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

@@ -49,31 +49,29 @@ def printable(text: str) -> str:
 
 
 def clock_jump(wall_s: float, monotonic_s: float) -> float:
-    """How far the wall clock has jumped, in s; negative if it jumped backward. Pass the length of one interval as each
-    clock has measured it: `wall_s` by the wall clock, and `monotonic_s` by the monotonic clock. Returns 0 if the two
-    lengths differ so little that drift can explain it."""
+    """How far the wall clock has jumped, in s; negative if it jumped backward. Pass the length of one interval by each
+    clock. Returns 0 for a difference of up to JUMP_S, and for one that drift can explain."""
     jumped_s = wall_s - monotonic_s
     return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
 
 
 def jumped(seconds: float) -> str:
-    """A text about a jump of the wall clock. If the clock jumped forward, the computer may have slept, because the
-    monotonic clock does not count while it sleeps."""
+    """A text about a jump of the wall clock. After a jump forward it also mentions sleep, because the monotonic clock
+    does not count while the computer sleeps."""
     if seconds < 0:
         return f"the clock was set back by {span(-seconds)}"
     return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"
 
 
 def clock(unix_s: float, now_s: float = 0.0) -> str:
-    """The local time of day. The date is added if the time is more than half a day from `now_s`, or if `now_s` is not
-    given."""
+    """The local time of day, with the date if `now_s` is more than half a day away or not given."""
     form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
     return time.strftime(form, time.localtime(unix_s))
 
 
 def ago(unix_s: float, now_s: float) -> str:
-    """A time as text, for example `14:03:22, 12 s ago`. If the time is in the future, because the clock was set back,
-    only the time of day is shown."""
+    """A time as text, for example `14:03:22, 12 s ago`. If the clock was set back and the time is in the future, only
+    the time of day is shown."""
     seconds = now_s - unix_s
     return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
 
@@ -84,8 +82,8 @@ their battery only once per second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """The age of a reading, as text that is put after the reading, for example `, 12 s ago`. Empty if the age is not
-    known, or if the reading is younger than AGED_S and the board still sends reports (`current`)."""
+    """The age of a reading, as text to put after the reading, for example `, 12 s ago`. Empty if the age is not known.
+    Also empty if it is below AGED_S and the board still sends reports (`current`)."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 
@@ -133,8 +131,8 @@ def plain(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text as a sentence for the web page. It has no backquotes, begins with a capital letter, and ends with a full
-    stop."""
+    """The text as a sentence for the web page: no backquotes, a capital letter first, and a full stop unless it ends
+    with ! or ?."""
     text = plain(text).strip()
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
 
@@ -145,8 +143,8 @@ def of(name: str) -> str:
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """For each client that reports something: the client's name, what the client sees, and what the client reports as
-    wrong. If the report is old, the age of the report is added to the client's name."""
+    """For each client that reports something: its name, what it sees, and what it reports as wrong. The name of an old
+    report is followed by the report's age."""
     found = []
     for client in state.clients:
         if client.said_s is not None:

@@ -1,11 +1,10 @@
 """Asking: finds out which board is on an open port. It asks questions that move no wheel.
 
-Each kind of board has its own questions and its own stop. failstop tries one kind after another, until a question is
-answered. A kind of board that has no questions is recognised by its reports. Before each question, failstop writes the
-stop of the same kind, because a stop ends any frame that was cut short. The stops and the questions of one kind never
-move a board of another kind that failstop describes, at any baud rate (tests/board/test_asking.py). But failstop can't
-promise this for a board that you have described yourself. So if board.kind names your own board, failstop writes only
-your board's stop and questions, and just listens for the kinds that it describes itself.
+failstop tries one kind of board after another, until a question is answered. A kind without questions is recognised by
+its reports. Before each question, failstop writes the stop of the same kind, because a stop ends any frame that was cut
+short. The stops and the questions of one kind never move a board of another kind that failstop describes, at any baud
+rate (tests/board/test_asking.py). failstop can't promise this for a board that you have described yourself. So if
+board.kind names your own board, failstop writes only your board's stop and questions, and just listens for other kinds.
 """
 
 from __future__ import annotations
@@ -54,8 +53,8 @@ DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH340": "ch341"}
 
 
 class Unknown(Board):
-    """Stands in for your own board if the user who runs this program can't use the board's folder. Nothing is known
-    about the board then, so nothing is written to it."""
+    """Stands in for your own board if this program's user can't use the board's folder. Nothing is known about the
+    board then, so nothing is written to it."""
 
     __slots__ = ("why",)
 
@@ -94,11 +93,10 @@ class Heard(Data):
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Yield the attempts to find the board, in order. Each attempt is (time, kind): the time of the attempt, in ns
-    after the port was opened, and the kind of board. The first of `boards` is the one that the user wants, so it comes
-    first. Boards without questions come next, because failstop writes nothing to them. `resets` is True if opening the
-    port may have reset the board. If so, each kind that hears nothing after a reset gets a second attempt, when it
-    hears again."""
+    """Yield the attempts to find the board, in order, as (time, kind). `time`: when to try, in ns after the port was
+    opened. The first of `boards` comes first, because the user wants it. Boards without questions come next, because
+    failstop writes nothing to them. `resets`: True if opening the port may have reset the board. A kind that hears
+    nothing after a reset then gets a second attempt, when it hears again."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -108,11 +106,11 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Try one kind of board after another, until one of them is found on the port. Returns the result of each attempt,
-    so a board that was found is the last in the list. The caller must already have written the stop of the first board.
-    If no board is found at the usual baud rates, the other baud rates of each board are tried too. If `strangers` is
-    True, failstop writes only the bytes of the first board, and just listens for all others. Raises OSError if the
-    device is gone."""
+    """Try one kind of board after another, until one is found on the port, or only some of its servos answer
+    (Heard.missing). Returns the result of each attempt, with that board's result last. The caller must already have
+    written the stop of the first board. If no board is found at the usual baud rates, the other baud rates of each
+    board are tried too. `strangers`: True to write only the bytes of the first board, and just listen for all others.
+    Raises OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.
@@ -137,12 +135,12 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
     """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns how long the
-    board took to answer, in ms, or None if it did not. Raises OSError if the device is gone.
+    board took to answer, in ms, or None. Raises OSError if the device is gone.
 
-    If `stop` is True, the board's stop is written before each question. If it is False, the first question is written
-    without a stop before it. The stop helps if the board has received bytes that were meant for another kind of board,
-    and has read them as the beginning of a packet: the bytes of the stop complete this packet, so the board reads the
-    question."""
+    `stop`: False to leave out the board's stop before the first question. If the board has read bytes for another kind
+    of board as the beginning of a packet, the bytes of the stop complete this packet. Then the board reads the
+    question.
+    """
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):
@@ -156,15 +154,14 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
 
 
 def heard_ms(tap: Tap, board: Board) -> float | None:
-    """Ask the board one question, and return how long it took to answer, in ms. For a board without questions, return
-    how long it took to report that it obeys zero speed. None if no such answer or report came."""
+    """Ask the board one question, and return how long it took to answer, in ms. A board without questions is not asked:
+    the time is then until it reports that it obeys zero speed. None if no answer or report came."""
     return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """Return (found, text, remedy) for one kind of board. `found` is True if a board of this kind is on the port, False
-    if not, and None if such a board can't be asked. `text` is the result in words for people, and `remedy` says what to
-    do."""
+    """Return (found, text, remedy) for one kind of board. `found`: True if this kind is on the port, False if not, None
+    if it can't be asked. `text`: the result in words for people. `remedy`: what to do."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

@@ -1,5 +1,4 @@
-"""Described: makes a Board from the description in a Wire. A board that is described in this way has no gamepad and no
-keys."""
+"""Described: makes a Board from a Wire. Such a board has no gamepad and no keys."""
 
 from __future__ import annotations
 
@@ -38,8 +37,8 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
-"""The most samples that one feed() takes from the board's reader. If a faulty reader returned samples without end,
-telemetry would otherwise hang forever."""
+"""The most samples that one feed() takes from the board's reader. A faulty reader that returned samples without end
+would otherwise hang telemetry."""
 MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
 """The largest load of a servo that counts as possible. A load of 1.0 is the most that the servo can give, and Feetech's
@@ -58,8 +57,8 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Return all reports that these bytes complete. If a report answers pings, a HEARD_PONG with these pings
-        follows it."""
+        """Return all reports that these bytes complete. After a report that answers pings comes a HEARD_PONG with these
+        pings."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -196,8 +195,8 @@ class Described(Board):
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """If the description can mark frames (Motion.marked), return the frame with the mark for this turn, so some
-        frames are slightly slower. Otherwise return the frame unchanged."""
+        """Return the frame with the mark for this turn, so that some frames are slightly slower. Without Motion.marked
+        in the description, return the frame unchanged."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
@@ -208,8 +207,8 @@ class Described(Board):
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """Check an extra frame, for example one for a light, with the function `aux` of the description. A motion frame
-        never passes. If the description has no function `aux`, no frame passes."""
+        """Check an extra frame, for example one for a light, with the description's function `aux`. Without this
+        function no frame passes. A motion frame never passes."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"
         try:

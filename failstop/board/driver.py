@@ -1,9 +1,9 @@
 """Driver languages: what a driver program may write to a board through the guard port, and what it gets back.
 
 A driver is a program that somebody else wrote for the bare board. The guard port (failstop/guard) gives it a
-pseudo-terminal that behaves like the board. The board's own folder has a DriverLanguage that knows how the board
-behaves: it reads the driver's bytes, and returns what the driver asks for. A language is pure: it does no I/O, it gets
-every time as an argument, and it never raises on bytes.
+pseudo-terminal that behaves like the board. The DriverLanguage in the board's own folder reads the driver's bytes, and
+returns what the driver asks for. A language is pure: it does no I/O, it gets every time as an argument, and it never
+raises on bytes.
 
 A language returns rows of four kinds:
 
@@ -13,8 +13,7 @@ A language returns rows of four kinds:
 - DriverRefusal: something that the driver asked for and does not get. It is shown to people once for each driver.
 
 One request may need several rows. For example, a refused question becomes a DriverRefusal, and a DriverAnswer so that
-the driver does not wait forever. A refused command for raw PWM becomes a DriverRefusal, a DriverMotion of zeros, and a
-DriverAnswer.
+the driver does not wait forever. Refused raw PWM becomes a DriverRefusal, a DriverMotion of zeros, and a DriverAnswer.
 """
 
 from __future__ import annotations
@@ -31,39 +30,38 @@ if TYPE_CHECKING:
     class DriverLanguage(Protocol):
         """One driver's conversation with the board. The guard makes a new object for each program that opens the port.
 
-        The guard also makes a new object if the service restarts while the driver keeps the port open. If the class has
-        a method `resume(before)`, the guard then calls it with the old object. The new object can copy values that must
-        not jump for the driver, such as counts that began at zero when the driver opened the port."""
+        The guard also makes a new object if the service restarts while the driver keeps the port open. It then calls
+        the method `resume(before)` with the old object, if the class has one. resume() can copy values that must not
+        jump for the driver, such as counts that began at zero when the driver opened the port.
+        """
 
         openers: int
         """How many programs the usual driver of this board consists of. It is 2 if one of its programs writes to the
         port and another one reads."""
         patience_ns: int
         """How long a driver waits for an answer, in ns. If the driver was away for longer, the guard answers only its
-        newest question. A driver that has given up would take a late answer for the answer to its next question."""
+        newest question. The driver would take a late answer for the answer to its next question."""
         past_ns: int
-        """heard() is first given what the board sent during this time before the driver opened the port, a few seconds
-        at most, in ns. The guard drops what heard() returns for these bytes, because it is old. 0 means that the
-        language begins with nothing, as after a reset of the board."""
+        """In ns. heard() first gets what the board sent during this time before the driver opened the port, a few
+        seconds at most. The guard drops what heard() returns for these bytes, because it is old. With 0, the language
+        begins with nothing, as after a reset of the board."""
 
         def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
             """Return the rows that these bytes from the driver ask for, in order. The bytes may be split or joined in
-            any way. The language must accept every spelling that the board's own receiver accepts. It must never find
-            motion that the receiver would not find, or a faster one. It keeps the bytes of an incomplete frame, up to a
-            limit."""
+            any way. Accept every spelling that the board's own receiver accepts. Never find motion that the receiver
+            would not find, or a faster one. Keep the bytes of an incomplete frame, up to a limit."""
 
         def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-            """Handle bytes that the board sent. Returns the bytes that are for the driver, in whole frames or lines.
-            Reports that come unasked are passed on. Answers to failstop's own questions are not. For a board that only
-            answers, this returns an empty list, and the language uses what it has learned to answer the driver's next
-            question."""
+            """Handle bytes that the board sent, and return the bytes for the driver, in whole frames or lines. Pass on
+            reports that come unasked, but not the answers to failstop's own questions. For a board that only answers,
+            return an empty list, and use its answers for the driver's next question."""
 
 
 class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop. Unless
-    `refused` is True, they also mean that the driver has ended driving. If a frame of the driver names only some
-    wheels, the other wheels keep the speeds that the driver commanded before. A language refuses what its board would
-    refuse, and leaves the speed limits to the service."""
+    `refused` is True, they also mean that the driver has ended driving. Wheels that the driver's frame does not name
+    keep the speeds commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
+    service."""
 
     speeds: Sequence[float]
     refused: bool = False
@@ -101,9 +99,9 @@ class DriverRefusal(Data):
 
 
 def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
-    """Make the DriverLanguage for one driver. `kind` is the setting board.kind, and `settings` has every setting by its
-    full key. Returns None if nobody has described what a driver may write to this board. Raises ValueError if a setting
-    does not fit the board."""
+    """Make the DriverLanguage for one driver. `kind`: the setting board.kind. `settings`: every setting by its full
+    key. Returns None if nobody has described what a driver may write to this board. Raises ValueError if a setting does
+    not fit the board, or if the `driver` of the board's Wire fails."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):

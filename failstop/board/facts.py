@@ -1,5 +1,5 @@
-"""Facts: the facts about a kind of board that failstop needs to read the settings, before it makes a Board. The folder
-of each board has a facts.py with them."""
+"""Facts: the facts about a kind of board that failstop needs to read the settings, before it makes a Board. They are in
+facts.py in each board's folder."""
 
 from __future__ import annotations
 
@@ -45,8 +45,7 @@ class Facts(Data):
     """The facts about one kind of board that failstop needs to read the settings."""
 
     speeds: int
-    """How many speeds a frame sets. If `layouts` lists the layout of the base, the number in `layouts` is used
-    instead."""
+    """How many speeds a frame sets, unless `layouts` lists the layout of the base."""
     imu: bool
     """True if the board has an IMU."""
     arm: ArmFacts | None = None

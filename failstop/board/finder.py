@@ -1,11 +1,10 @@
 """Finder: finds the board's serial port again after the board was unplugged or reset.
 
-The path in the settings is not enough. If a USB hub resets, the board's path may then lead to another device of the
-same type. So the board is recognised by what its USB device reports and, if that is not enough, by the socket where it
-is plugged in. CHOICES has the rules.
+The path in the settings is not enough. After a reset of a USB hub it may lead to another device of the same type. So
+the board is recognised by what its USB device reports and, if that is not enough, by its socket. CHOICES has the rules.
 
-If a process keeps a tty open while the board is unplugged, the number of the tty stays in use, so the board comes back
-with another number.
+If a process keeps a tty open while the board is unplugged, the tty's number stays in use, so the board comes back with
+another number.
 """
 
 from __future__ import annotations
@@ -67,9 +66,8 @@ class Device:
 
 
 def identity(device: str, like: Device | None = None) -> Device | None:
-    """Return the USB device to which a tty belongs. `device` is the tty's `device` link in sysfs. Returns None if the
-    tty belongs to no USB device, for example a pty or a serial pin. Also returns None if `like` is given and has
-    another vendor or product than the USB device."""
+    """Return the USB device of a tty. `device`: the tty's `device` link in sysfs. None if the tty belongs to no USB
+    device, for example a pty or a serial pin. Also None if the vendor or product differs from that of `like`."""
     folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
         if vendor := _line(f"{folder}/idVendor"):
@@ -90,8 +88,7 @@ def of_number(number: int, sysfs: str = "/sys") -> Device | None:
 
 
 def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
-    """Return every serial port on USB, by its path. If `like` is given, only ports with the same vendor and product are
-    returned."""
+    """Return every serial port on USB, by its path. With `like`, return only ports with its vendor and product."""
     try:
         names = os.listdir(f"{sysfs}/class/tty")
     except OSError:
@@ -101,9 +98,9 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
-    """Return (others, ambiguous). `others` are the other serial ports with the same vendor and product, by path.
-    `ambiguous` is True if failstop can't distinguish `own` from one of these ports, because the two have the same
-    serial number, or because neither has one."""
+    """Return (others, ambiguous). `others`: the other serial ports with the same vendor and product, by path.
+    `ambiguous`: True if `own` and one of these ports have the same serial number, or both have none, so failstop can't
+    distinguish them."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -124,8 +121,8 @@ class Search:
     def __init__(
         self, board: Device, neighbours: Iterable[Device], devices: Iterable[Device], at_path: Device | None
     ) -> None:
-        """`neighbours` are the devices that were present together with the board before the board was lost. `at_path`
-        is the device at the path in the settings."""
+        """`neighbours`: the devices that were present while the board was. `at_path`: the device at the path in the
+        settings."""
         self.board = board
         self.neighbours = frozenset(neighbours)
         self.devices = frozenset(devices)
@@ -165,8 +162,8 @@ only after the device has answered as the board does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
-    """Return (device, certain) by the rules of CHOICES. `device` is the device that is most likely the board, or None.
-    `certain` is True if the device is certainly the board. Pure."""
+    """Return (device, certain) by the rules of CHOICES. `device`: most likely the board, or None. `certain`: True if it
+    certainly is the board. Pure."""
     for choice, sure in CHOICES:
         if found := choice(search):
             return (found[0], sure) if len(found) == 1 else (None, False)
@@ -207,8 +204,8 @@ class Finder:
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember which other devices are present together with the board. If the board is later lost, failstop does
-        not take one of these devices for the board."""
+        """Remember which other devices are present together with the board. None of them is taken for the board if it
+        is lost."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 
@@ -257,7 +254,7 @@ class Finder:
             return None
 
     def _devices(self) -> dict[str, Device]:
-        """Return the devices with the board's vendor and product, by path. The path in the settings is included with
-        its device, even if that device has another vendor or product."""
+        """Return the devices with the board's vendor and product, by path. The device at the path in the settings is
+        always included."""
         at_path = self._at_path()
         return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

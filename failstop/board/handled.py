@@ -1,13 +1,13 @@
 """Handled: finds out which writes the board has certainly handled. Pure.
 
-The same few questions are written again and again, and an answer does not say which write it belongs to. Neither does
-an echo, which is the board's report of its present command. But the board handles frames in the order in which they
-were written, and its answers come back in that order too. So failstop matches each answer with the earliest question
-that it fits. If frames were lost, this question may be earlier than the one that the board has answered, but it is
-never later. So an old answer can't prove a new stop, however late it comes.
+The same few questions are written again and again, and an answer does not name its write. Neither does an echo, which
+is the board's report of its present command. But the board handles frames in the order in which they were written, and
+answers in that order too. So failstop matches each answer with the earliest question that it fits. If frames were lost,
+this question may be earlier than the one that the board has answered, but it is never later. So an old answer can't
+prove a new stop, however late it comes.
 
-A match with a question that is too early may acknowledge a stop late, or not at all. The matches soon become right
-again, because the questions and the speeds are written in an irregular order (schedule.Pings, Motion.marked).
+A match that is too early may acknowledge a stop late, or not at all. The matches soon become right again, because the
+questions and the speeds are written in an irregular order (schedule.Pings, Motion.marked).
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Answers:
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """Find the earliest open question to which an answer fits. `indices` are the indices of the questions that have
-        this answer. Returns the time in ns at which the found question was asked, or 0 if the answer fits no open
-        question. Closes the found question, and all earlier ones, because their answers were lost."""
+        """Match an answer with the earliest open question that it fits. `indices`: the questions that have this answer.
+        Returns when the matched question was asked, in ns, or 0 if there is none. Closes this question, and all earlier
+        ones, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -61,18 +61,16 @@ class Answers:
 
 
 class Echo:
-    """Finds out from the board's reports which stop the board obeys. This is for a board without pings. It keeps the
-    commands that the board may still report as its present command.
+    """Finds out from the board's reports which stop the board obeys. This is for a board without pings.
 
     The board's report of the command that it obeys is called an echo. An echo of zeros proves a stop only if an echo of
-    motion came before it, because a board whose command wire is broken also reports zeros. The board also reports zeros
-    after its own watchdog has acted. So a stop counts as proved only if that motion was written so recently that the
-    watchdog can't have acted yet.
+    motion came before it, because a board whose command wire is broken also reports zeros. So does a board whose own
+    watchdog has acted. So the motion must have been written so recently that the watchdog can't have acted yet.
     """
 
     def __init__(self, fades_ns: int) -> None:
-        """`fades_ns` is the time, in ns, after which the board's own watchdog sets the command to zero if no frame
-        comes. 0 if the board has no watchdog."""
+        """`fades_ns`: after how many ns without a frame the board's own watchdog sets the command to zero. 0 if the
+        board has no watchdog."""
         self._fades_ns = max(1, fades_ns - MARGIN_NS) if fades_ns else 0
         self._open: deque[tuple[tuple[float, ...], int]] = deque(maxlen=COMMANDS_KEPT)
         self._written: tuple[float, ...] | None = None
@@ -91,9 +89,9 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle the board's report that it obeys a command with these speeds. If it proves that the board obeys a
-        stop, return the time in ns at which this stop was written. Otherwise return 0. `others_ns` has the time, in ns,
-        of the newest stop of each other process."""
+        """Handle the board's report that it obeys a command with these speeds. Returns when the stop that this proves
+        was written, in ns, or 0 if it proves no stop. `others_ns`: when each other process wrote its newest stop, in
+        ns."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -118,9 +116,8 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """Find the earliest kept command with these speeds. Returns (place, time). `place` is its place among the kept
-        commands, counted from 1, and `time` is the time in ns at which it was written. Both are 0 if no kept command
-        has these speeds."""
+        """Find the earliest kept command with these speeds. Returns (place, time): its place among the kept commands,
+        counted from 1, and when it was written, in ns. Both are 0 if there is none."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -148,12 +145,11 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
-        Otherwise 0."""
+        """When failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise 0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
-        """Record what is about to be written: the ping with this index, or a command with these speeds if the index is
+        """Record a write before it is made: the ping with this index, or a command with these speeds if the index is
         COMMANDED."""
         if written_ns <= self._since_ns:
             return
@@ -163,10 +159,9 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. If it gives new proof that the board has handled everything that was
-        written up to some time, return this time in ns. Otherwise return 0. If the last command up to the returned time
-        was a stop, the board has received this stop. `others_ns` has the time, in ns, of the newest stop of each other
-        process."""
+        """Handle a report that came at `came_ns`. Returns the time, in ns, up to which the report newly proves that the
+        board has handled every write. Returns 0 if it proves nothing new. If the last command up to that time was a
+        stop, the board has received it. `others_ns`: when each other process wrote its newest stop, in ns."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

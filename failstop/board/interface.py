@@ -78,7 +78,7 @@ NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=F
 
 
 class Hearing:
-    """Decodes the board's bytes into reports. A report is a pair of a kind and a value. The kinds and their values:
+    """Decodes the board's bytes into reports. Each report is a (kind, value):
 
     - HEARD_IMU: the acceleration x y z in g, then the turn rate x y z in degrees per second.
     - HEARD_BATTERY: the voltage in mV, or 0 if no battery is connected.
@@ -86,14 +86,13 @@ class Hearing:
     - HEARD_KEY: the key's id and the event.
     - HEARD_SERVO: the servo's id, the question and the answer.
     - HEARD_PONG: the indices of the pings that may have been answered.
-    - HEARD_WHEELS: (speeds, positions). Each of the two is empty if the board does not report it.
+    - HEARD_WHEELS: (speeds, positions). Each is empty if the board does not report it.
     - HEARD_OBEYED: the speeds of the command that the board follows at the moment.
-    - HEARD_HEALTH: a row for each servo, with the servo's id, its load (-1 to 1), its temperature in degrees Celsius,
-      and what is wrong with it (the SERVO_ bits of wire.py).
-    - HEARD_ODD: the name of a reported value that is impossible, and the value as text. Such a value counts as not
-      reported.
+    - HEARD_HEALTH: a row for each servo: its id, load (-1 to 1), temperature in degrees Celsius, and faults (the SERVO_
+      bits of wire.py).
+    - HEARD_ODD: the name of an impossible value, and the value as text. The value counts as not reported.
     - HEARD_RESTARTED: a text that says how the board showed that it restarted.
-    - HEARD_FIRMWARE: the name of the firmware, if the firmware is not the usual one. This report comes only once.
+    - HEARD_FIRMWARE: the name of an unusual firmware. This report comes only once.
     """
 
     __slots__ = ()
@@ -108,9 +107,9 @@ class Hearing:
 
 
 class ServoBus:
-    """Makes and checks the frames for the servos of an arm. Servo ids are 1 to 253, and positions are in pulses (see
-    ArmFacts in facts.py). servos.py lists the questions for a servo. failstop makes frames for servos only if the
-    settings have [joints]."""
+    """Makes and checks the frames for an arm's servos. Servo ids are 1 to 253. Positions are in pulses (ArmFacts in
+    facts.py). servos.py lists the questions for a servo. failstop makes frames for servos only if the settings have
+    [joints]."""
 
     __slots__ = ()
 
@@ -123,14 +122,14 @@ class ServoBus:
     ended, failstop makes the servo's measured position its new goal."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Return the frames that stop these servos. failstop appends the frames to the stop burst and writes both in
-        one write. Empty if a stop leaves the servos alone."""
+        """Return the frames that stop these servos. failstop writes them right after the stop burst, in the same write.
+        Empty if a stop leaves the servos alone."""
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Return the frame that moves a few servos within `duration_ms`. Each position is (id, pulses). On some boards
-        a few frames would be dangerous if they were cut short. To avoid such a frame, the encoder may choose another
-        duration, up to `longest_ms` (0 means servos.LONGEST_MOVE_MS). Raises FrameError."""
+        """Return the frame that moves a few servos, each given as (id, pulses). The move takes `duration_ms`. If that
+        frame would be dangerous when cut short, the move takes another time, up to `longest_ms` (0 means
+        servos.LONGEST_MOVE_MS). Raises FrameError."""
         raise NotImplementedError
 
     def read(self, servo: int, what: int) -> bytes:
@@ -143,9 +142,8 @@ class ServoBus:
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """Return the frame that switches a servo's torque on or off. `at` is the servo's present position. On a board
-        whose servos remember an old goal, the frame first makes this position the goal, so that the servo does not
-        jump. Raises FrameError."""
+        """Return the frame that switches a servo's torque on or off. `at` is the servo's present position. A servo that
+        remembers an old goal gets `at` as its new goal first, so it does not jump. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
@@ -153,14 +151,13 @@ class ServoBus:
         raise NotImplementedError
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Say why these bytes must not be written as a frame for an arm that has these servos. Returns "" if they may
-        be written. Frames that move the wheels never pass. Of the frames that pass, only questions may hold up the
-        board's receiver for longer than servos.HELD_NS."""
+        """Return the reason to refuse these bytes for an arm with these servos, or "" to accept them. It refuses
+        anything that moves a wheel. Only questions may hold up the board's receiver for longer than servos.HELD_NS."""
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Return where a frame sends servos: (id, pulses, duration of the move in ns) for each. A duration of 0 means
-        as fast as the servo can. Empty for other bytes. Never raises."""
+        """Return the moves in a frame: (id, pulses, duration in ns) for each servo. A duration of 0 means as fast as
+        the servo can. Empty for other bytes. Never raises."""
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:
@@ -169,9 +166,9 @@ class ServoBus:
 
 
 class SteeringFrames:
-    """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: one write has the
-    frame for the wheels and after it the steering frame, and both are accepted or refused together. A stop has no
-    steering frame, so it leaves the angle as it is."""
+    """Makes and checks the frames that turn the servo of a steered base. Steering counts as motion: the steering frame
+    follows the wheels' frame in the same write, and both are accepted or refused together. A stop leaves the angle as
+    it is."""
 
     __slots__ = ()
 
@@ -180,14 +177,13 @@ class SteeringFrames:
         raise NotImplementedError
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
-        the bytes are."""
+        """Return the reason to refuse these bytes as a steering frame, or "" to accept them. Never raises."""
         raise NotImplementedError
 
 
 class Board:
     """Everything that failstop must know to talk to one board: constants and pure functions. If you describe your own
-    board, failstop makes a Board from your description too."""
+    board, failstop makes a Board from the description."""
 
     __slots__ = ()
 
@@ -278,14 +274,14 @@ class Board:
         raise NotImplementedError
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Return the frame that sets all wheels. `rps` has turns per second by wire id, each within plus or minus
-        `max_rps`. Raises FrameError for a speed that is too high or not finite, and for a wrong number of speeds."""
+        """Return the frame that sets all wheels to `rps`, in turns per second by wire id. Raises FrameError if the
+        number of speeds is wrong, or if a speed is not finite or not within plus or minus `max_rps`."""
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. This check does
-        not trust motor_speeds(), and reads the form, the checksum, the ids and the speeds from the frame again. So a
-        frame with a changed bit is refused if its form reveals the change. Never raises, whatever the bytes are."""
+        """Return the reason to refuse these bytes as a motion frame, or "" to accept them. It does not trust
+        motor_speeds(), and reads the form, checksum, ids and speeds from the frame again. It catches a changed bit if
+        the frame's form reveals the change. Never raises."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -293,14 +289,14 @@ class Board:
         raise NotImplementedError
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds that the board will report while it obeys this motion frame or stop. None for other bytes.
-        Also None if the board has pings, or does not report the command that it obeys. Never raises."""
+        """Return the speeds that the board will report while it obeys this motion frame or stop. None for other bytes,
+        for a board with pings, and for a board that does not report the command that it obeys. Never raises."""
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """Return the frame to write when the same motion is sent for the `turn`th time. If the board's reports of its
-        present command are used as a proof, some turns get a slightly slower frame. If all frames were equal, these
-        reports could not show whether frames still arrive. For other boards the frame is returned unchanged."""
+        """Return the frame to write when the same motion is sent for the `turn`th time. Some boards prove a stop by
+        reporting their present command. For them, some turns get a slightly slower frame, so that the reports show
+        whether frames still arrive. Other boards get the frame unchanged."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
@@ -308,7 +304,6 @@ class Board:
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:
-        """Check a frame for something other than wheels and servos, for example the buzzer. Returns why these bytes
-        must not be written as such a frame, or "" if they may be written. A frame that moves a wheel or a servo never
-        passes."""
+        """Return the reason to refuse these bytes as an extra frame, for example for the buzzer, or "" to accept them.
+        A frame that moves a wheel or a servo is always refused."""
         raise NotImplementedError

@@ -1,6 +1,5 @@
-"""Kept: the stop of your own board as plain numbers and bytes. The service keeps it in its runtime directory. With it,
-`failstop stop` can stop the robot without running the board's description, which is a program that may have become
-broken."""
+"""Kept: the stop of your own board as plain numbers and bytes, which the service keeps in its runtime directory. With
+it, `failstop stop` works even if the board's description, a program, is broken."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ MOST_NS = 2_000_000_000
 
 
 def pack_stop(board: Board) -> str:
-    """Return a board's stop as one line of text that unpack_stop() can read. The line has only the supervisor's row of
+    """Return a board's stop as one line of text for unpack_stop(). The line has only the supervisor's row of
     Board.repeats_ns, and unpack_stop() gives this row to all writers."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
@@ -41,7 +40,7 @@ def unpack_stop(kept: str) -> Kept | None:
 
 
 class Kept(Board):
-    """A board of which only the stop is known, so it can't be asked anything."""
+    """A board with nothing but its stop. It can't be asked anything."""
 
     __slots__ = ("after_ns", "burst", "first_stop", "idle_ns", "port", "repeats_ns", "stop")
 

@@ -1,5 +1,4 @@
-"""Kinds: the kinds of boards that failstop knows. Each kind is described by a folder, which is in failstop/board or is
-your own."""
+"""Kinds: the kinds of boards that failstop knows. A folder describes each kind: one in failstop/board, or your own."""
 
 from __future__ import annotations
 
@@ -43,9 +42,9 @@ def facts_of(kind: str) -> Facts | None:
 def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = USUAL_CAN_ID) -> Wire:
     """Return the description of one of KINDS, or of your own board. Raises ValueError.
 
-    Set `tried` if the process that started this one has already tested your own board (own.py). `speeds` is how many
-    speeds a frame sets (0 means the usual number), and `can_id` is the CAN id of the second motor. Both matter only for
-    a kind that has several descriptions. No other board's modules are imported."""
+    Set `tried` if the parent process has already tested your own board (own.py). `speeds` is how many speeds a frame
+    sets, or 0 for the usual number. `can_id` is the CAN id of the second motor. `speeds` and `can_id` matter only for a
+    kind with several descriptions. No other board's modules are imported."""
     if is_own(kind):
         from failstop.board import own
 
@@ -58,9 +57,9 @@ def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = US
 
 
 def watchdog_of(kind: str) -> tuple[float, str]:
-    """Return how many seconds after the last motion the board's own watchdog acts, and what it does (ZERO, COAST or
-    DISARM of wire.py). Returns (0, "") if the board has no watchdog, and always for your own board, because this
-    function does not load its folder."""
+    """Return (seconds, action) for the board's own watchdog: how long after the last motion it acts, and ZERO, COAST or
+    DISARM of wire.py. Returns (0, "") for a board without a watchdog. Your own board also gets (0, ""), because its
+    folder is not loaded here."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog
@@ -81,11 +80,10 @@ def board_of(
 ) -> Board:
     """Make the board of the setting board.kind. Raises OwnBoardError, which is a ValueError.
 
-    `per_rps` is how many of the board's speed units make one wheel turn per second, and 0 means the usual number.
-    `steering` is the servo of a steered base, or None. `confirmed_per_rps` is the `per_rps` that somebody has confirmed
-    by turning a wheel, and 0 means that nobody has. `baud` is the baud rate for which the board's firmware was built,
-    and 0 means the usual rate. `can_id` is the CAN id of the second motor, if there is one. `speeds` and `tried` are
-    passed to wire_of(). No other board's modules are imported."""
+    `per_rps`: how many of the board's speed units make one wheel turn per second; 0 means the usual number. `steering`:
+    the servo of a steered base, or None. `confirmed_per_rps`: the `per_rps` that somebody has confirmed by turning a
+    wheel, or 0. `baud`: the baud rate of the board's firmware; 0 means the usual rate. `can_id`: the CAN id of the
+    second motor, if there is one. `speeds`, `tried`: as for wire_of(). No other board's modules are imported."""
     if is_described(kind):
         from failstop.board.described import Described, SteeredBoard
 
@@ -100,10 +98,9 @@ def board_of(
 
 
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
-    """True if the scale of `board` is not certain. It is certain if `confirmed_per_rps` equals it. It is also certain
-    if it is the usual scale, and either this is a fact about the board (Motion.scale_known) or the board's reports
-    would reveal an error (Reports.own_scale). A number that somebody has only written into the settings does not make
-    it certain."""
+    """True if the scale of `board` may be wrong. A scale that equals `confirmed_per_rps` is certain. The usual scale is
+    also certain if the board fixes it (Motion.scale_known), or if the board's reports would reveal an error
+    (Reports.own_scale). A number that is only written in the settings is not certain."""
     if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
     usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)

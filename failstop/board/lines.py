@@ -11,13 +11,11 @@ if TYPE_CHECKING:
 
 
 class MotionLine:
-    """Makes and checks the line that sets the speeds of the left and the right wheels. This class has the methods that
-    wire.Motion needs."""
+    """Makes and checks the line that sets the left and right speeds. It has the methods that wire.Motion needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
-        """`form` is the pattern of the line, with a group for each speed. `write` makes the line from the speeds of
-        left and right, and truncates both towards zero. `most` is the largest speed that the board accepts, in
-        `unit`."""
+        """`form` matches the line, with a group for each speed. `write` makes the line from the left and right speeds,
+        and truncates both towards zero. `most` is the highest speed that the board accepts, in `unit`."""
         self._form, self._write, self._most, self._unit = form, write, most, unit
 
     def frame(self, both: Sequence[float], limit: float) -> bytes:
@@ -31,8 +29,7 @@ class MotionLine:
         return (float(found[1]), float(found[2])) if found else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion line. Returns "" if they may be written. Never raises,
-        whatever the bytes are."""
+        """Return the reason to refuse these bytes as a motion line, or "" to accept them. Never raises."""
         found = self.speeds(frame)
         if found is None:
             return "not a motion line"
@@ -45,8 +42,8 @@ class LineReader(Reader):
     """Makes samples from the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples` makes the samples of one line. If an incomplete line has more than `longest` bytes, only its last
-        `longest` bytes are kept."""
+        """`samples` makes the samples of one line. Of a longer incomplete line, only the last `longest` bytes are
+        kept."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -1,9 +1,9 @@
 """Named: opens a serial port whose path another user has named, with no more than that user's rights.
 
-A path from a file that belongs to another user may lead anywhere: to one of root's own devices, to a device that reacts
-to being opened, or to a file system that never answers. So root looks up the path with that user's rights, accepts only
-a terminal that this user may read and write, and then opens exactly this device. The device is opened as root, because
-only root can open a port that a service holds exclusively, and a stop must still be written to such a port.
+A user's file may name any path: one of root's own devices, a device that reacts to being opened, or a file system that
+never answers. So root looks up the path with that user's rights, and accepts only a terminal that this user may read
+and write. Root then opens exactly this device as root. Only root can open a port that a service holds exclusively, and
+a stop must still be written to such a port.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def _may(found: os.stat_result, uid: int, groups: set[int]) -> bool:
 
 
 def _groups(uid: int) -> tuple[int, list[int]]:
-    """Return the user's main group, and the ids of the user's other groups. Only files are read for this, because a
-    directory service that does not answer must not hold up a stop."""
+    """Return the user's main group, and the ids of the user's other groups. This reads only files, because a directory
+    service that does not answer must not delay a stop."""
     name, gid = "", 65534
     for fields in _rows(PASSWD_FILE, 4):
         if fields[2] == str(uid):

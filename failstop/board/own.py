@@ -1,16 +1,16 @@
-"""Own: your own board. It is a folder with a module wire.py, which has the board's description: a Wire named WIRE.
+"""Own: your own board. It is a folder whose module wire.py has the board's description: a Wire named WIRE.
 
-The line `VOCABULARY = N` in this module says for which version of failstop/board/wire.py the description was written.
-failstop reads this line before it runs the module. The modules of the folder import each other with a dot (`from .
-import codec`). They import failstop's modules as any other program does.
+The line `VOCABULARY = N` in wire.py names the version of failstop/board/wire.py for which it was written. failstop
+reads this line before it runs the module. The modules of the folder import each other with a dot
+(`from . import codec`), and failstop's modules in the normal way.
 
 The modules may run as root, in every process of the service. So anyone who can change them can drive the robot.
-Therefore the folder, everything in it, and every folder and link on the way to it must belong to root or to the
-service's user, and nobody else may be able to change them. Only source is imported. Each source file is read through
-the same descriptor that was checked, so that nobody can exchange the file after the check.
+Therefore the folder, everything in it, and every folder and link on its path must belong to root or to the service's
+user. Nobody else may be able to change them. Only source is imported. It is read through the same descriptor that was
+checked, so that nobody can exchange the file after the check.
 
-A description is a program, so it may hang or exit. Before it runs in this process, a child process loads it and calls
-its functions (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
+A description is a program, so it may hang or exit. A child process loads and tests it first (sound.py). failstop
+refuses the description if the child dies, or has not finished within LIMIT_S.
 """
 
 from __future__ import annotations
@@ -61,9 +61,8 @@ class OwnBoardError(ValueError):
 
 
 def wire(folder: str, *, tried: bool = False) -> Wire:
-    """Return the description of your own board, which is in `folder`. Unless `tried` is set, a child process first
-    loads and tests the description. Set `tried` if the process that started this one has already done this. Raises
-    OwnBoardError."""
+    """Return the description of your own board, which is in `folder`. A child process first loads and tests it. Set
+    `tried` to skip this test if the parent process has already done it. Raises OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
     _check(folder)
@@ -99,8 +98,8 @@ def _load(folder: str, name: str, value: str) -> Any:
 
 
 def _check_vocabulary(folder: str, offered: str) -> None:
-    """Refuse a description unless it was written for this version of failstop/board/wire.py, which is `offered`. Raises
-    OwnBoardError."""
+    """Raise OwnBoardError unless the description was written for the vocabulary `offered`, the version of
+    failstop/board/wire.py."""
     path = os.path.join(folder, "wire.py")
     lines = _source(path).splitlines()
     said = [
@@ -144,8 +143,8 @@ def _try(folder: str, name: str, value: str) -> None:
 
 
 def _judge(folder: str, name: str, value: str, writer: int) -> None:
-    """Load and test the description, and send the result to `writer`. This is all that the child process does. What the
-    description prints is dropped. The child ends without the exit handlers that it has inherited."""
+    """Run the child process: load and test the description, and send the result to `writer`. Drops everything that the
+    description prints. Never returns, and skips the exit handlers that the child has inherited."""
     try:
         os.setsid()
         _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)
@@ -177,8 +176,8 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """Return what the child process has reported. Returns no bytes if the child ended without a report, and None if the
-    child has neither reported nor ended in time."""
+    """Return the child's report. Empty if the child ended without a report. None if nothing happened before `until_s`
+    (time.monotonic())."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -210,8 +209,8 @@ def _kill(child: int) -> None:
 
 
 class _Modules:
-    """Finds and loads the modules of one folder. Python asks no other finder for these modules, so it imports only
-    their source files. It never imports an extension, a subfolder, or a compiled copy of a source."""
+    """Imports the modules of one folder, from their source files only. Python asks no other finder for these modules.
+    So it never imports an extension, a subfolder, or a compiled copy of a source."""
 
     def __init__(self) -> None:
         self.folder = ""
@@ -241,7 +240,8 @@ _FINDER = _Modules()
 
 
 def _modules(folder: str) -> _Modules:
-    """Return the finder for the modules of this folder. A process has only one such folder."""
+    """Return the finder, set to this folder. The modules of any other folder are unloaded, because a process uses only
+    one such folder at a time."""
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
     if _FINDER.folder != folder or OWN_PACKAGE not in sys.modules:
@@ -278,8 +278,8 @@ def _source(path: str) -> bytes:
 
 def _open(path: str) -> tuple[int, os.stat_result]:
     """Return a descriptor and the status of the file or folder at a full path. Each folder and link on the way is
-    opened without following links, and checked through its own descriptor. So nobody can exchange a folder or a link
-    between its check and its use. Raises OwnBoardError."""
+    opened without following links, and checked through its own descriptor. So nobody can exchange it after the check.
+    Raises OwnBoardError."""
     here, at, links = os.open("/", os.O_PATH | os.O_CLOEXEC), "/", 0
     left = path.split("/")[::-1]
     info = os.fstat(here)
@@ -313,8 +313,9 @@ def _open(path: str) -> tuple[int, os.stat_result]:
 
 
 def _check(folder: str) -> None:
-    """Refuse the folder if another user may change the folder, anything in it, or any folder or link on its path.
-    Raises OwnBoardError."""
+    """Raise OwnBoardError if another user may change the folder, anything in it, or any folder or link on its path.
+    Also raised for special files, links to anything but a file, compiled modules outside of `__pycache__`, and more
+    than _MOST_FILES entries."""
     fd, info = _open(folder)
     try:
         if not stat.S_ISDIR(info.st_mode):
@@ -357,9 +358,9 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
-    """Refuse this file or folder if it belongs to another user. Also refuse it if others may write it, unless it is a
-    folder on the way (`on_the_way`) that has the sticky bit, such as /tmp. In such a folder, only the owner of an entry
-    can remove or rename that entry. Raises OwnBoardError."""
+    """Raise OwnBoardError unless this file or folder belongs to root or to this process's user, and nobody but its
+    owner may write it. A folder on the way (`on_the_way`) with the sticky bit, such as /tmp, may be written by others.
+    In such a folder, only the owner of an entry can remove or rename that entry."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
     folder = stat.S_ISDIR(found.st_mode)

@@ -2,8 +2,8 @@
 
 A board may report impossible values, for example because its battery is not connected, its memory is garbled, or the
 reader of your own board has a bug. An impossible value is neither passed on nor clamped. It counts as not reported and
-becomes HEARD_ODD, which the service logs once. So all later code can rely on finite numbers within the limits below. If
-a battery's voltage is impossible, HEARD_BATTERY with 0 mV is reported too, which means that no battery is connected.
+becomes HEARD_ODD, which the service logs once. So later code can rely on finite numbers within the limits below. For an
+impossible battery voltage, HEARD_BATTERY with 0 mV is reported too: no battery is connected.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
 
 
 def finite(value: object, most: float) -> float:
-    """Return the value as a float. Raises OverflowError for an integer that no float can hold, and ValueError for
-    anything else that is not a number from -most to most."""
+    """Return the value as a float from -most to most. Raises OverflowError for an integer that no float can hold, and
+    ValueError for any other value. A bool is not a number."""
     if isinstance(value, bool) or not hasattr(value, "__float__"):
         raise ValueError("not a number")
     number = float(value)
@@ -72,8 +72,8 @@ def whole_number(value: object, least: int, most: int) -> int:
 
 
 def battery_said(volts: object) -> list[Said]:
-    """Return HEARD_BATTERY with the voltage in mV. For a voltage that no battery has, return HEARD_BATTERY with 0 mV,
-    and HEARD_ODD."""
+    """Return HEARD_BATTERY with the voltage in mV. An impossible voltage gives HEARD_BATTERY with 0 mV, and
+    HEARD_ODD."""
     try:
         known = finite(volts, MOST_V)
         if known >= LEAST_V:

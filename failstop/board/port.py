@@ -1,10 +1,9 @@
 """Opens the board's serial port: raw, at the board's baud rate, and with the modem lines set as the board needs them.
 
-pyserial is not used, because it is slow to import. The supervisor opens the port in its first 150 ms, and the stop tool
-must be fast too. Measured with Python 3.11 on x86-64: `import serial` takes 1.9 ms and loads 8 modules, and this file
-takes 0.5 ms and loads 3. pyserial's Serial opens five descriptors, because it needs two pipes besides the port to
-cancel blocking calls. This file opens one. pyserial's `exclusive` is an flock, which only keeps out programs that ask
-for it. In failstop, only doctor uses pyserial, to list the ports, because the cost does not matter there.
+pyserial is not used, because it is slow to import: 1.9 ms and 8 modules, compared with 0.5 ms and 3 modules for this
+file (Python 3.11 on x86-64). The supervisor opens the port in its first 150 ms, and the stop tool must be fast too.
+pyserial's Serial also opens five descriptors instead of one. Its `exclusive` is an flock, which only keeps out programs
+that ask for it. Only doctor uses pyserial, to list the ports.
 """
 
 from __future__ import annotations
@@ -65,15 +64,16 @@ class PortError(Exception):
 
 def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> int:
     """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, and with the rate and
-    modem lines of `line`. Raises PortError.
+    modem lines of `line`. Opens only a character device, and writes nothing. Raises PortError.
 
     A read raises BlockingIOError if nothing has come, and returns no bytes after a hang-up. With `exclusive`, other
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
-    called. The board's USB chip forgets the baud rate when the USB bus is reset, for example when the computer sleeps,
-    and the kernel's driver does not notice. So this function makes the driver send the baud rate to the chip again,
-    unless a service has the port. Only a character device is ever opened, and nothing is written. If another user's
-    file names this path, `named_by` is that user's id, and root opens the path with no more than that user's rights.
-    Otherwise `named_by` is 0.
+    called. `named_by` is the id of another user whose file names this path, or 0. Root opens such a path with no more
+    than that user's rights.
+
+    The board's USB chip forgets the baud rate when the USB bus is reset, for example when the computer sleeps, and the
+    kernel's driver does not notice. So this function makes the driver send the rate again, unless a service has the
+    port.
     """
     descriptor = -1
     try:
@@ -101,8 +101,8 @@ def _opened(path: str, named_by: int) -> int:
 
 
 def open_if_there(path: str, line: Port) -> int:
-    """Open a port exclusively (see open_port). Returns -1 if it no longer exists or can't be opened. Never raises.
-    Unlike open_port(), this never looks up users to explain a failure, because looking up users may take long."""
+    """Open a port exclusively, as open_port() does. Returns -1 if that fails. Never raises. It never looks up users to
+    explain a failure, because that may take long."""
     # A device exists before udev has given it to its group. Then the open would be refused. To explain a refusal,
     # open_port() looks up users, which may take long, and here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
@@ -125,14 +125,14 @@ def waiting_bytes(descriptor: int) -> bytes | None:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """Return how much written data the kernel has not sent on the line yet (TIOCOUTQ). The unit depends on the driver:
-    cdc_acm counts 1280 for each write under way, a pty always has 0, and other drivers count bytes. Raises OSError."""
+    """Return how much written data the kernel has not sent yet (TIOCOUTQ). The unit depends on the driver: cdc_acm
+    counts 1280 for each write under way, a pty always has 0, and other drivers count bytes. Raises OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port and reads the bytes that the board sends. During this time no other program may
-    read these bytes, because the service would miss them."""
+    """True while a service has the port and reads the board's bytes. Then don't read from the port, because the service
+    would miss these bytes."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -140,8 +140,8 @@ def is_read(descriptor: int) -> bool:
 
 
 def has_lines(descriptor: int) -> bool:
-    """True if the port has modem lines. The kernel raises them at every open, before any program can prevent it, and
-    this may reset the board. A pty has no modem lines."""
+    """True if the port has modem lines. A pty has none. The kernel raises the lines at every open, which may reset the
+    board, and no program can prevent it."""
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, _ZERO)
     except OSError:
@@ -162,9 +162,9 @@ def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
     """Close the port's descriptor. Never raises. In the main thread this takes `within_s` at most, even if the port
     sends nothing.
 
-    When its last descriptor is closed, a terminal first sends the bytes that it still holds. This takes up to 30 s on
-    cdc_acm, and until then nobody can open it again. A signal ends this wait, so a timer sends signals. A process that
-    exits without this function would wait for the whole time, because a process that is exiting gets no more signals.
+    The last close of a terminal waits until its bytes are sent. On cdc_acm this takes up to 30 s, and until then nobody
+    can open the port again. A timer's signals end this wait. Close the port with this function before the process
+    exits: an exiting process gets no more signals, so it would wait for the whole time.
     """
     try:
         before = _signal.signal(_signal.SIGALRM, _interrupt)
@@ -227,8 +227,8 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """Try to lock the port. Returns False while a service has the port. The caller must then leave the baud rate alone,
-    because another rate would garble the service's frames."""
+    """Try to lock the port. Returns False while a service has the port. Then leave the baud rate alone, because another
+    rate would garble the service's frames."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -246,8 +246,8 @@ def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
 
 
 def _check_raw(path: str, descriptor: int, baud: int, speed: int) -> None:
-    """Check that the port has taken all settings, because tcsetattr succeeds if the port has taken at least one. Raises
-    PortError."""
+    """Raise PortError unless the port has taken all settings. tcsetattr succeeds even if the port has taken only
+    one."""
     after = termios.tcgetattr(descriptor)
     took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]
     if not took or after[6][termios.VMIN] != 1:

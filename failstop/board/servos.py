@@ -35,8 +35,8 @@ MOST_MOVES = HELD_NS // MOVE_NS
 
 class ServoAnswer(Sample, Data):
     """A servo's answer: the servo's id, the question (one of READS), and the value. A position is in pulses, a supply
-    in mV, and a temperature in degrees Celsius. A torque is 1 if it is on. For all questions except the torque, a value
-    of 0 means that nothing was read, because some boards answer 0 if the servo did not answer."""
+    in mV, and a temperature in degrees Celsius. A torque is 1 if it is on. Any other value of 0 means that nothing was
+    read, because some boards answer 0 for a silent servo."""
 
     servo: int
     what: int

@@ -1,8 +1,8 @@
 """Sound: tests the description of a board before the board may drive, by calling the functions of the description.
 
-A description is a program, and its faults would otherwise show only while wheels turn. For example, its check may let
-every frame pass, its stop may have no bytes, or its scale may be NaN. The tests themselves change nothing, but a
-function of the description may change something, hang, or end its process. So own.py runs the tests in a child process.
+Some faults of a description would otherwise show only while wheels turn. For example, its check may let every frame
+pass, its stop may have no bytes, or its scale may be NaN. The tests change nothing. But the description is a program,
+so its functions may change something, hang, or end their process. So own.py runs the tests in a child process.
 """
 
 from __future__ import annotations
@@ -65,8 +65,7 @@ def _shown(value: object) -> str:
 
 
 def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
-    """Call a function of the description, and return its result. If the function raises an error, this is a fault of
-    the description."""
+    """Call a function of the description, and return its result. Raises _Wrong if the function raises an error."""
     try:
         return function(*values)
     except (Exception, SystemExit) as error:
@@ -253,7 +252,8 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """Check that the description refuses impossible speeds, and bytes that are not a motion frame."""
+    """Check that motion.frame() refuses impossible speeds, and that motion.check() refuses bytes that are not a motion
+    frame. If a changed bit in the frame of zeros passes, its speeds must be within the limit."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -277,7 +277,7 @@ def _refusals(wire: Wire) -> None:
 
 
 def _frames(wire: Wire) -> None:
-    """Check that no frame moves anything unless it is a motion frame."""
+    """Check that no question and no opening frame sets a speed, and that no question passes as a motion frame."""
     asks = [(f"WIRE.questions[{at}].ask", question.ask) for at, question in enumerate(wire.questions)]
     for name, frame in asks + [(f"WIRE.port.opening[{at}]", frame) for at, frame in enumerate(wire.port.opening)]:
         told = _speeds(wire.motion, frame)

@@ -13,25 +13,23 @@ if TYPE_CHECKING:
 
 
 class SteeringMixin(Board):
-    """Adds steering to a class of boards. Inherit from this class first, then from the board's class. A motion frame
-    then begins with the frame for the wheels, which always has the same length, and ends with the frame for the
-    steering."""
+    """Adds steering to a class of boards. Inherit from this class first, then from the board's class. A motion frame is
+    then the wheels' frame, which always has the same length, followed by the steering frame."""
 
     __slots__ = ()
 
     _steering: SteeringFrames
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Return the frame for the wheels, followed by the frame for the steering. `rps` has the wheels' speeds, then
-        the steering angle in radians. If all wheels are at rest, the frame for the steering is left out, so that the
-        result is exactly the stop."""
+        """Return the wheels' frame, followed by the steering frame. `rps` has the wheels' speeds, then the steering
+        angle in radians. If all wheels are at rest, the result is exactly the stop, without a steering frame."""
         *speeds, angle_rad = rps
         motor = super().motor_speeds(speeds, max_rps)
         return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Say why these bytes must not be written. Returns "" if they are a frame for the wheels and one for the
-        steering, or the stop alone."""
+        """Return the reason to refuse these bytes, or "" to accept them. It accepts a wheels' frame with a steering
+        frame, or the stop alone."""
         motor, steers = frame[: len(self.stop)], frame[len(self.stop) :]
         if why := super().check_motion(motor, max_rps):
             return why
@@ -43,8 +41,8 @@ class SteeringMixin(Board):
 
 
 class ServoSteering(SteeringFrames):
-    """The frames for a steering servo whose position is commanded in pulses. `servo` has the pulses for straight ahead,
-    and the pulses per radian."""
+    """The frames for a steering servo that is commanded in pulses. `servo` has the pulses for straight ahead, and the
+    pulses per radian."""
 
     __slots__ = ("_limit", "servo")
 

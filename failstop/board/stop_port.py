@@ -37,8 +37,8 @@ class StopPort:
     that the device is gone, and `errno` is then the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos` are the ids of the robot's arm. The frames that stop the arm are appended to the burst, and both are
-        written in one write. So the kernel takes the arm's frames only after it has taken the whole burst."""
+        """`servos` are the ids of the arm's servos. Their stop frames follow the burst in the same write, so the kernel
+        takes them only after the whole burst."""
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
@@ -60,9 +60,8 @@ class StopPort:
         thread that calls early_stop() take it."""
 
     def early_stop(self) -> None:
-        """Write the beginning of the burst, up to the end of its first stop frame. The thread that has noticed a death
-        calls this, because it is faster than the loop. The thread also wakes the loop, which then writes the whole
-        burst."""
+        """Write the burst up to the end of its first stop frame. The thread that notices a death calls this, because it
+        is faster than the loop. The thread also wakes the loop, which then writes the whole burst."""
         with self._writing:
             if self.fd >= 0:
                 self._write_early()
@@ -80,11 +79,10 @@ class StopPort:
     def burst(self) -> bool:
         """Write the stop burst now. Returns True if the kernel has taken all of it.
 
-        If a whole stop is still on the line, nothing is written, because on some boards a second stop without a gap
-        garbles both. If the kernel has not taken all of the last frame yet, the rest of this frame is dropped, because
-        a burst works after any cut. But if this frame was a stop, its rest is written before the new stop, unless the
-        rest is longer than one burst. A longer rest is dropped, because otherwise stops would pile up at a port that
-        takes nothing.
+        While a whole stop is still on the line, nothing is written and the result is True, because on some boards a
+        second stop without a gap garbles both. If the kernel has taken only a part of the last frame, the rest is
+        dropped, because a burst works after any cut. The rest of a stop is written before the new stop. If that rest is
+        longer than one burst, it is dropped too. Otherwise stops would pile up at a port that takes nothing.
         """
         begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
@@ -137,8 +135,8 @@ class StopPort:
         return 0
 
     def holds(self) -> bool:
-        """True while the kernel still holds bytes that were written to the port, by this or any other process. If the
-        kernel can't say this, the device is gone, and `lost` becomes true."""
+        """True while the kernel still holds bytes for the port, from this or any other process. If the kernel can't
+        say, the device is gone, and `lost` becomes true."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError as error:
@@ -146,8 +144,8 @@ class StopPort:
             return False
 
     def drain(self, within_s: float = DRAIN_S) -> bool:
-        """Wait until all written bytes have left the kernel. Call this before closing the port, because closing it
-        drops the bytes that are left. Returns False if it takes longer than `within_s`, or if the port is gone."""
+        """Wait until all written bytes have left the kernel. Call this before close(), which may drop the bytes that
+        are left. Returns False if it takes longer than `within_s`, or if the port is gone."""
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
             if self.flush() and not self.holds() and not self.lost:
@@ -158,8 +156,8 @@ class StopPort:
         return False
 
     def adopt(self, fd: int) -> None:
-        """Use another descriptor, or none if `fd` is -1, and close the old one. If a descriptor of an unplugged USB
-        device stayed open, the device would come back with another number, such as ttyACM1 after ttyACM0."""
+        """Use another descriptor, or none if `fd` is -1, and close the old one. While a descriptor of an unplugged USB
+        device is open, the device comes back with another number, such as ttyACM1 after ttyACM0."""
         with self._writing:
             old, self.fd = self.fd, fd
             self.lost = fd < 0

@@ -81,19 +81,19 @@ class Tap:
         return index, now_ns
 
     def lost(self) -> None:
-        """Give up all questions that were asked so far, for example because the board was reset. Raises OSError."""
+        """Give up all questions asked so far, for example after a reset of the board. Raises OSError."""
         self.read()
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Find the earliest ping that this answer may answer (see handled.py). Returns the time at which this ping was
-        written, in ns, or 0 if there is no such ping."""
+        """Return the time when the earliest ping that fits this answer was written, in ns. 0 if no ping fits. This ping
+        and all earlier pings are then closed (see handled.py)."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
         """Ask the board, and return how long it took to answer, in ms. The answer proves that the board has handled
-        everything that was written before the question. If an answer belongs to an earlier question, it does not count.
-        Returns None if the answer does not come in time, or if the board has no questions. Raises OSError."""
+        everything that was written before the question. Answers to earlier questions don't count. Returns None if no
+        answer comes in time, or if the board has no questions. Raises OSError."""
         if not self._board.pings:
             return None
         _, asked_ns = self.ping()
@@ -103,10 +103,10 @@ class Tap:
         return None
 
     def zeros_ms(self, timeout_s: float) -> float | None:
-        """Wait until a board without pings reports that its present command is zero. Returns how long that took, in ms,
-        or None if no such report came in time. A report within the first `echo_ns` of the board does not count, because
-        it may be about an older command. The report proves little, because a board that hears nothing reports zeros
-        too. Raises OSError."""
+        """Wait until a board without pings reports that its present command is zero, and return how long that took, in
+        ms. None if no such report came in time. Reports within the first `echo_ns` of the board don't count, because
+        they may be about an older command. This proves little, because a board that hears nothing reports zeros too.
+        Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:

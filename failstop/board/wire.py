@@ -73,8 +73,8 @@ class Write(Data):
 
 
 class TimedStop(Data):
-    """How failstop stops the wheels: what it writes to the port, and when it repeats this. In every state of the
-    board's receiver, the bytes must stop the wheels: if not the first time, then when they are repeated."""
+    """How failstop stops the wheels: the bytes that it writes, and when it repeats them. In every state of the board's
+    receiver, the first write or a repeat must stop the wheels."""
 
     writes: tuple[Write, ...]
     after_ns: int
@@ -116,8 +116,7 @@ class Watchdog(Data):
 
     @property
     def acts_ns(self) -> int:
-        """How long after the last motion the watchdog acts while the service runs, in ns. 0 if the board has no
-        watchdog."""
+        """How long after the last motion the watchdog acts while the service runs, in ns. 0 without a watchdog."""
         return self.set_ns or self.after_ns
 
 
@@ -165,13 +164,12 @@ class Motion(Data):
 
 
 class Sample:
-    """Something that the board reports. The classes below are the kinds of samples, and they are the same for all
-    boards."""
+    """Something that the board reports. The classes below are all kinds of samples, for every board."""
 
 
 class Wheels(Sample, Data):
-    """A report about the wheels. Each tuple has values for left and right, or for each wheel. `speeds` is empty if the
-    board reports no speeds, and `positions` is empty if it reports no positions."""
+    """A report about the wheels, with values for left and right, or for each wheel. `speeds` or `positions` is empty if
+    the board does not report it."""
 
     speeds: tuple[float, ...]
     """The wheels' speeds. Reports.speed_per_rps defines their unit. If the description has no Reports, the unit is that
@@ -199,10 +197,9 @@ others do."""
 
 
 class Health(Sample, Data):
-    """What servos report about themselves, a row for each servo: its id, its load, its temperature in degrees Celsius,
-    and what is wrong with it. A load of 1 is the most that the servo can give, and the load is negative in the other
-    direction. A temperature of 0 means that the temperature was not reported yet. The last value is a sum of bits such
-    as SERVO_VOLTAGE, and may be left out."""
+    """What servos report about themselves. Each row has a servo's id, load, temperature in degrees Celsius, and faults.
+    A load of 1 is the most that the servo can give. The load is negative in the other direction. A temperature of 0 was
+    not reported yet. The faults are a sum of bits such as SERVO_VOLTAGE, and may be left out."""
 
     rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 
@@ -215,8 +212,8 @@ class Imu(Sample, Data):
 
 
 class Answer(Sample, Data):
-    """A line or frame that the board sends only when it is asked. This proves that the board hears. An Answer contains
-    no other report."""
+    """A line or frame that the board sends only when asked. It proves that the board hears, and contains no other
+    report."""
 
     text: str
 
@@ -250,8 +247,7 @@ def answer_is(text: str) -> Callable[[Sample], bool]:
 
 
 class Reader:
-    """Turns the bytes that the board sends into samples. The bytes of an incomplete sample are kept until the rest
-    comes."""
+    """Turns the board's bytes into samples. Keeps the bytes of an incomplete sample until the rest comes."""
 
     def feed(self, chunk: bytes) -> list[Sample]:
         """Return the samples that these bytes complete, in order. Never raises."""
@@ -350,16 +346,16 @@ class Wire(Data):
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:
-    """Check the speeds of the left and the right wheel, and return them. Raises FrameError unless both are finite
-    numbers within plus or minus `limit`, and `limit` is at most `most`."""
+    """Return the speeds of the left and the right wheel. Raises FrameError unless both are finite numbers within plus
+    or minus `limit`, and `limit` is from 0 to `most`."""
     counted("speeds", speeds, 2, 2)
     number("limit", limit, 0.0, most, unit)
     return number("speed left", speeds[0], -limit, limit, unit), number("speed right", speeds[1], -limit, limit, unit)
 
 
 def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
-    """Say why these speeds must not be commanded, for example because one of them exceeds `limit`. Returns "" if they
-    may be commanded."""
+    """Return the reason to refuse these speeds, or "" to accept them. Each must be within plus or minus `limit`, and
+    `limit` must be from 0 to `most`."""
     if not 0.0 <= limit <= most:
         return f"limit {limit}, must be 0 to {most:g}"
     names = ("left", "right") if len(speeds) == 2 else range(len(speeds))

@@ -153,9 +153,9 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """Return the parser and the module of a command. The command's help ends with examples from the module's EXAMPLES.
-    EXAMPLES is a text, or, if one module serves several commands, a dict with a text for each of them. Raises
-    FailstopError if the command is not installed."""
+    """Return the parser and the module of a command. The command's help ends with the module's EXAMPLES. EXAMPLES is a
+    text, or a dict with a text for each command that the module serves. Raises FailstopError if the command is not
+    installed."""
     import argparse
 
     from failstop.cli import style
@@ -168,8 +168,8 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
 
     class Help(argparse.RawDescriptionHelpFormatter):
-        """Breaks lines as all screens of failstop do: at spaces, but not within a command, and not between a number and
-        its unit."""
+        """Breaks lines as all screens of failstop do: at spaces, but not within a command or between a number and its
+        unit."""
 
         def _split_lines(self, text: str, width: int) -> list[str]:
             words = " ".join(text.split())
@@ -209,8 +209,8 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """Print the error's message if it is meant for people, and return the error's exit code. Any other error is a bug,
-    so it is raised again."""
+    """Print an error that is meant for people, and return its exit code. Any other error is a bug, so it is raised
+    again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
@@ -233,8 +233,8 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """If this process has too many open files, and this has caused `error` or the error that led to it, return advice.
-    Otherwise return an empty text."""
+    """Return advice if `error`, or an error that led to it, means that this process has too many open files. Otherwise
+    return an empty text."""
     import resource
 
     from failstop.procs.rights import no_descriptors

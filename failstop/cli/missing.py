@@ -21,8 +21,8 @@ Python (empty if there is none)."""
 
 
 def text(error: ImportError) -> str:
-    """Describe which package is missing, for which Python, and how to install it. Empty if a module of failstop itself
-    is missing, because that is a bug."""
+    """Describe which package is missing, for which Python, and how to install it. Empty if one of failstop's own
+    modules is missing, because that is a bug."""
     module = (error.name or "").partition(".")[0]
     if module == "failstop":
         return ""
@@ -36,8 +36,8 @@ def text(error: ImportError) -> str:
 
 
 def say(error: ImportError) -> int:
-    """Print what is missing, and return the exit code. If a module of failstop itself is missing, the error is raised
-    again."""
+    """Print the missing package, and return the exit code. Raises the error again if one of failstop's own modules is
+    missing."""
     if not (line := text(error)):
         raise error
     sys.stderr.write(f"failstop: {line}\n")

@@ -1,8 +1,8 @@
 """Standard input, output and error. This module makes sure that all three are open, and prints without ever raising an
 error.
 
-open() returns the lowest descriptor that is free. If standard output or error were closed, the board's port could get
-their descriptor (1 or 2), and all texts for people would go to the board.
+open() returns the lowest free descriptor. If standard output or error were closed, the board's port could get
+descriptor 1 or 2, and all texts for people would go to the board.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import sys
 
 
 def fill() -> None:
-    """Open /dev/null in place of each of standard input, output and error that is closed. Call this before anything
-    else is opened. Never raises."""
+    """Open /dev/null for standard input, output or error if it is closed. Call this before anything else is opened.
+    Never raises."""
     try:
         while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
             os.set_inheritable(fd, True)
@@ -27,8 +27,8 @@ def fill() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error. If standard error is a terminal, the line is wrapped at spaces. Never raises,
-    because the command must go on even if the disk is full or the terminal is closed."""
+    """Print a line on standard error, wrapped at spaces on a terminal. Never raises, because the command must go on
+    even if the disk is full or the terminal is closed."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
@@ -54,8 +54,8 @@ def folded(text: str) -> str:
 
 
 def let_go() -> None:
-    """Drop the text that is still waiting to be written to standard output. Otherwise Python would try to write it at
-    exit, and print another error."""
+    """Drop the text that is not yet written to standard output. Otherwise Python would try again at exit, and print
+    another error."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)

@@ -43,7 +43,7 @@ _NUMBER = re.compile(" *[0-9]+[.] +")
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
-    """Return True if `terminal` is True and the variable TERM says that the terminal understands escape sequences."""
+    """Return True if `terminal` is True and TERM names a terminal that understands escape sequences."""
     return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
 
 
@@ -58,8 +58,7 @@ def _known() -> dict[str, str]:
 
 
 def paint(text: str, role: str) -> str:
-    """Return the text with the colour of its role. If standard output is no terminal with colours, the text is
-    unchanged."""
+    """Return the text in the colour of its role. It is unchanged if standard output shows no colours."""
     code = _known().get(role)
     return f"\x1b[{code}m{text}\x1b[0m" if code and text else text
 
@@ -118,21 +117,22 @@ def warn(text: str, end: str = "\n") -> None:
 
 
 def record(found: object) -> list[Line]:
-    """Convert a value to JSON, for programs. A part that JSON can't represent is written as Python shows it."""
+    """Convert a value to JSON, for programs. A value that JSON can't represent becomes its repr(), and such a key is
+    left out."""
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
 
 
 def bound(text: str, space: str) -> str:
-    """Replace the space between each number and its unit with `space`. This is for texts that another program wraps.
-    `space`: a character at which that program does not break lines."""
+    """Replace the space between each number and its unit with `space`, at which another program does not break
+    lines."""
     return _BEFORE_UNIT.sub(lambda _: space, text)
 
 
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
-    """Break a line at spaces, so that each part fits. All parts after the first are indented. A word is broken only if
-    it is longer than a line."""
+    """Break a line at spaces, so that each part fits, and indent all parts after the first. A word is broken only if it
+    is longer than a line."""
     text, roles = plain(line), [role for text, role in line for _ in text]
     starts, at, used = [0], 0, 0
     for piece in _pieces(text, columns - indent):
@@ -151,8 +151,8 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _pieces(text: str, room: int) -> Iterator[str]:
     """Split a text into pieces that must not be broken, each with the spaces after it. A piece is a word, or a command
-    that fits into `room` columns. A longer command is split at its spaces, and a longer word into letters. But what
-    matches _WHOLE is never split, because people copy it."""
+    that fits into `room` columns. A longer command is split at its spaces, and a longer word into letters. A word that
+    contains a match of _WHOLE is never split, because people copy it."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if _WHOLE.search(word):
@@ -163,7 +163,7 @@ def _pieces(text: str, room: int) -> Iterator[str]:
 
 
 def paragraphs(text: str, columns: int) -> str:
-    """Wrap each line of a text. In a numbered list, all text of an item is to the right of its number."""
+    """Wrap each line of a text. In a numbered list, the text of an item stays to the right of its number."""
     rows: list[Line] = []
     for line in text.split("\n"):
         number = _NUMBER.match(line)
@@ -172,8 +172,7 @@ def paragraphs(text: str, columns: int) -> str:
 
 
 def table(rows: list[Line]) -> list[Line]:
-    """Align the columns of a table, with two spaces between them. A text that begins with a space is aligned to the
-    right."""
+    """Align the columns of a table, two spaces apart. A text that begins with a space is aligned to the right."""
     widths = [max(cells(text.strip()) for text, _ in column) for column in zip(*rows, strict=True)]
     found = []
     for row in rows:
@@ -187,8 +186,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """Return the lines that fit on the screen. If there are too many, empty lines are dropped first. If that is not
-    enough, the last lines are dropped too, and a line at the end says how many."""
+    """Return the lines that fit on the screen. If there are too many, empty lines are dropped first, and then the last
+    lines. A line at the end says how many of the last lines were dropped."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

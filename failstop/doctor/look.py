@@ -1,5 +1,5 @@
-"""Look: what the checks of the doctor share. A Look has the question (which service, which port), and finds facts for
-the checks when they first need them. A Finding is one result of a check, with a remedy."""
+"""Look: what the checks of the doctor share. A Look holds the question (which service, which port), and finds each fact
+when a check first needs it. A Finding is one result of a check, with a remedy."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
 
 @dataclasses.dataclass(eq=False)
 class Look:
-    """What the checks look at. Facts are found when they are first needed. A test may set a fact before that, and it is
-    then not looked for."""
+    """The service and the port to check, and the facts about them. Each fact is found when it is first needed. A test
+    may set a fact beforehand."""
 
     name: str = DEFAULT_NAME
     config_path: str | None = None
@@ -71,8 +71,8 @@ class Look:
 
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
-        """(path of the settings file, settings, problem). The path is empty if there is no file. If the file has a
-        problem, it is described in one line, and the settings are the defaults."""
+        """(path of the settings file, settings, problem). The path is empty if there is no file. If the file can't be
+        used, `problem` is one line about it, and the settings are the defaults."""
         path = config.chosen(self.name, self.config_path)
         try:
             return path or "", config.load(path), ""
@@ -81,8 +81,7 @@ class Look:
 
     @cached_property
     def active_settings(self) -> Settings:
-        """The settings of the running service. If no service is running, the settings that it would read at its
-        start."""
+        """The settings of the running service. Without a running service, the settings that it would start with."""
         return Settings(dict(StateReader(self.name).settings())) if self.state else self.settings[1]
 
     @property
@@ -100,7 +99,7 @@ class Look:
 
     @cached_property
     def service(self) -> tuple[State | None, str, str]:
-        """(state of the running service, its version, problem). The problem says in one line why the state can't be
+        """(state of the running service, its version, problem). `problem` is one line about why the state can't be
         read. All three are empty if no service is running."""
         try:
             return StateReader(self.name).read(), segments.version(client.run(self.name)[0]), ""
@@ -116,8 +115,8 @@ class Look:
 
     @property
     def pid(self) -> str:
-        """The pid of the running service's supervisor, as a name in /proc. `self` if no service is running, because
-        this user would start it."""
+        """The pid of the service's supervisor, as a name in /proc. Without a running service it is `self`, because this
+        user would start the service."""
         return str(self.state.processes[layout.SUPERVISOR].pid) if self.state else "self"
 
     @cached_property
@@ -159,8 +158,7 @@ class Look:
 
     @cached_property
     def twins(self) -> bool:
-        """True if another serial port has the same vendor, product and serial number, or if neither has a serial
-        number."""
+        """True if another serial port looks the same: same vendor and product, and the same serial number or none."""
         return look_alikes(self._usb, self.system.path("/sys"))[1]
 
     @cached_property

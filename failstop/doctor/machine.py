@@ -35,8 +35,8 @@ def facts() -> dict[str, Any]:
 
 
 def rights(look: Look) -> list[Finding]:
-    """Check real-time priority and locked memory. This looks at the running service, or at a process of this user if no
-    service is running."""
+    """Check whether every process of the running service has real-time priority and locked memory. Without a running
+    service, check whether this user can get real-time priority."""
     told = price = ""
     if look.state:
         starved = look.state.starved

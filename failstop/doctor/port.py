@@ -27,7 +27,7 @@ GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
 
 
 def present(look: Look) -> list[Finding]:
-    """Check whether the port exists, and whether its name is certain to mean the board."""
+    """Check whether the port exists, and whether its name always leads to the board."""
     node, (device, origin) = look.node, look.device
     if node is None and os.path.exists(device):
         return fail(f"{device} is not a serial port", *SERIAL_BY_NAME)
@@ -62,8 +62,8 @@ def present(look: Look) -> list[Finding]:
 
 
 def taken(system: System) -> list[Finding]:
-    """Check for a board that is plugged in but has no serial port, because brltty has taken it or no driver is loaded
-    for it."""
+    """Check for a board that is plugged in but has no serial port. Then brltty has taken it, or its driver is not
+    loaded."""
     chips = {**{usb: "a board's own port" for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}, **ADAPTERS}
     for usb in system.portless(chips):
         what = f"USB {usb} ({chips[usb]}) is plugged in but has no serial port"
@@ -109,8 +109,8 @@ def identity(look: Look) -> list[Finding]:
 
 
 def permission(look: Look) -> list[Finding]:
-    """Check whether this user may open the port. If a service is running it needs no check, because the service reports
-    what it waits for."""
+    """Check whether this user may open the port. With a running service, report the state of the service's port
+    instead."""
     node, who = look.node, look.system.owner("/proc/self")
     if node is None:
         return []
@@ -191,13 +191,13 @@ def commanders(look: Look) -> list[Finding]:
 
 
 def _known(look: Look, holder: Holder) -> Commander | None:
-    """The entry of the board's description for the program that this process runs. None if there is no entry."""
+    """The board's entry for the program that this process runs. None if the board has no such entry."""
     programs = (one for one in look.board.commanders if one.program)
     return next((one for one in programs if one.program in holder.command), None)
 
 
 def grabbers(look: Look) -> list[Finding]:
-    """Check whether a program is running that opens serial ports by itself, such as ModemManager."""
+    """Check whether ModemManager or brltty is running. Both open serial ports by themselves."""
     found = []
     names = _running(look.system)
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)

@@ -48,8 +48,8 @@ def settings(look: Look) -> list[Finding]:
 
 
 def _others(look: Look) -> list[str]:
-    """The settings in which the running service differs from the file. A lease may follow from the service's rights,
-    and the port from an option, so these two are not compared."""
+    """The keys of the settings in which the running service differs from the file. Two keys are left out: a lease may
+    follow from the service's rights, and the port from an option."""
     found = look.settings[1].flat()
     return [
         key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value
@@ -57,7 +57,7 @@ def _others(look: Look) -> list[str]:
 
 
 def running(look: Look) -> list[Finding]:
-    """Check the service of this name: whether it runs, and whether it reaches the board."""
+    """Check whether the service runs and reaches the board, and what is wrong with its IMU, arm and servos."""
     state, version, problem = look.service
     if problem:
         fix = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("ActiveState") == "active" else ""
@@ -161,8 +161,7 @@ def unit(look: Look) -> list[Finding]:
 
 
 def state_directory(look: Look) -> list[Finding]:
-    """Check whether the service can write to its state directory, which keeps incidents, the battery's log and the
-    page's keys."""
+    """Check whether the service can write to its state directory (incidents, the battery's log, the page's keys)."""
     system, process = look.system, f"/proc/{look.pid}"
     by_unit = look.unit and (not look.state or look.unit.get("MainPID") == look.pid)
     environ = {"STATE_DIRECTORY": f"{root.SYSTEM_BASE}/{look.name}"} if by_unit else system.environ(look.pid)

@@ -1,11 +1,12 @@
 """The checks of the board and the stop path: which board is connected to the port, and whether a stop reaches it.
 
-If no service is running, the port is opened here. It is opened only once, because opening resets some boards. The board
-is asked questions that move nothing. Then a stop is written in the three ways in which the supervisor, the stopper and
-the stop tool write it.
+Without a running service, these checks open the port only once, because opening resets some boards. The first bytes are
+a stop, written as the supervisor does. Then the board is asked questions that move nothing. Unless the answers show
+that the board is missing, two more stops are written as the stopper and the stop tool do. The stop tool opens the port
+itself, while the checks still have the port open.
 
-If a service is running, nobody else may write to the port, so the service's knowledge is shown instead. What happens
-only when a process dies is tested by `failstop prove`.
+With a running service, nobody else may write to the port, so the checks show what the service knows. `failstop prove`
+tests what happens when a process dies.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ UNANSWERED = "written; this board never acknowledges a stop"
 
 
 def board(look: Look) -> list[Finding]:
-    """Check whether the board at the port is the one that the settings name."""
+    """Check whether the board at the port is of the kind that the settings name."""
     if isinstance(look.board, asking.Unknown):
         path = look.settings[0]
         fix, advice = (f"failstop config --check {path}", "") if path else ("", "fix it before the next start")
@@ -47,7 +48,8 @@ def board(look: Look) -> list[Finding]:
 
 
 def stop_path(look: Look) -> list[Finding]:
-    """Test whether a stop reaches the board. If this is not safe, say why it was not tested."""
+    """Test whether a stop reaches the board, or say why this was not tested. With a running service, report its last
+    stop instead."""
     if look.state:
         return of_service(look.name, look.state)
     return _left_alone(look) or _tried(look)[1]
@@ -120,7 +122,7 @@ def of_service(name: str, state: State) -> list[Finding]:
 
 
 def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
-    """Findings about the board, and about the stop path. The port is opened once for both."""
+    """(findings about the board, findings about the stop path). Only the first call opens the port."""
     if look.tried is None:
         others = {kind: board_of(kind, 1.0, 0.0) for kind in BOARDS if kind != look.kind}
         look.tried = by_hand(look.device[0], {look.kind: look.board} | others, f"failstop {look.again()}")
@@ -128,9 +130,11 @@ def _tried(look: Look) -> tuple[list[Finding], list[Finding]]:
 
 
 def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Finding], list[Finding]]:
-    """Test the board at this port without a service. Returns findings about the board, and a finding for each way to
-    write a stop, up to the first that fails. No other process may have the port open. The first of `boards` is the one
-    that the settings name. `again`: the command that repeats the test."""
+    """Test the board at this port without a service. No other process may have the port open.
+
+    Returns (findings about the board, one finding for each way to write a stop). The second list ends with the first
+    failure. The first of `boards` is the board that the settings name. `again`: the command that repeats the test.
+    """
     kind, board = next(iter(boards.items()))
     told: list[Finding] = []
     found: list[Finding] = []
@@ -178,8 +182,8 @@ already written that stop."""
 
 
 def judged(writer: str, board: Board, answered_ms: float | None, again: str) -> list[Finding]:
-    """The finding about one way to write a stop, from the board's answer to a ping that followed the stop, or from its
-    report that it obeys."""
+    """The finding about one way to write a stop. `answered_ms`: how long the board took to answer a ping after the
+    stop, or to report that it obeys. None if it did neither."""
     if not (board.pings or board.echo_ns):
         return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:

@@ -1,7 +1,7 @@
 """The computer as the doctor sees it: files, accounts, devices, processes and the kernel. Tests can use another root
 folder.
 
-If something does not exist or may not be read, the result is None or empty, never an error.
+If something does not exist or may not be read, the result is None, empty or -1, never an error.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Holder:
 
     @property
     def is_login(self) -> bool:
-        """True if the process asks people for a name and a password, or has asked."""
+        """True if the process is a login program, which asks people for a name and a password."""
         return self.name in LOGINS
 
     @property
@@ -117,7 +117,7 @@ class System:
         self.root = root
 
     def ports(self, own: Collection[str]) -> list[tuple[str, str]]:
-        """(path, description) of each serial port. Ports whose vendor:product is in `own` come first, then other USB
+        """(path, description) of each serial port: first the ports whose vendor:product is in `own`, then other USB
         devices, then the rest."""
         # Import it only here, because it is slow, and the stop tool imports this module too.
         from serial.tools import list_ports
@@ -131,7 +131,7 @@ class System:
         return [(path, what) for _, _, path, what in sorted(found)]
 
     def portless(self, chips: Collection[str]) -> list[str]:
-        """Those of `chips` (vendor:product) that are plugged in but have no serial port."""
+        """The vendor:product of each device in `chips` that is plugged in but has no serial port."""
         folder = self.path("/sys/bus/usb/devices")
         ports = [os.path.realpath(self.path(f"/sys/class/tty/{name}/device")) for name in self.names("/sys/class/tty")]
         found = []
@@ -143,7 +143,7 @@ class System:
         return sorted(found)
 
     def path(self, path: str) -> str:
-        """Where a path of the system is below `root`."""
+        """The path below `root` for an absolute path."""
         return os.path.join(self.root, path.lstrip("/"))
 
     def read(self, path: str) -> str | None:
@@ -167,7 +167,7 @@ class System:
             return str(uid)
 
     def room(self, path: str) -> int | None:
-        """How many bytes fit into a directory. None if it does not exist, or if this process may not write to it."""
+        """How many bytes are free in a directory. None if it does not exist, or if this process may not write to it."""
         there = os.access(self.path(path), os.W_OK | os.X_OK)
         return _tried(lambda: shutil.disk_usage(self.path(path)).free) if there else None
 
@@ -278,23 +278,23 @@ class System:
         return done.stdout if done.returncode == 0 else None
 
     def realtime(self, priority: int = 1) -> AbstractContextManager[bool]:
-        """A context in which this process has real-time priority, if it may have it. Yields True if it has."""
+        """A context that gives this process real-time priority. Yields False if the kernel refuses the priority."""
         return rights.realtime(priority)
 
     def refused(self, pid: str, unit: str) -> str:
-        """Why a process can't have real-time priority although its limits allow it, and what helps. Empty if nothing
-        keeps it from that."""
+        """Why the kernel refused a process real-time priority although its limits or capabilities allow it, and what
+        helps. Empty if neither allows it."""
         return refused.advice_if_allowed(pid, unit=unit, container=self.contained())
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
-        """Measure how late this process is woken, each time, ns. Returns (True if it had the gate's priority, the
-        delays)."""
+        """Measure how late this process is woken. Returns (True if it had the gate's priority, the delay of each
+        wake-up in ns)."""
         with self.realtime(PROCESS_BY_NAME["gate"].priority) as granted:
             return granted, late_ns(seconds)
 
 
 def late_ns(seconds: float) -> list[int]:
-    """How late each wake-up was, ns. If a wake-up is missed completely, it is left out, as the gate does."""
+    """How late each wake-up was, ns. Wake-ups that were missed completely are left out, as in the gate."""
     period_ns = round(PERIOD_S * 1e9)
     due_ns = time.monotonic_ns() + period_ns
     end_ns = due_ns + round(seconds * 1e9)

@@ -12,8 +12,7 @@ Check = Callable[[Look], list[Finding]]
 
 
 def _of(home: str) -> Check:
-    """A check that is defined in the package that it is about, as failstop.HOME.check. It is imported only when it is
-    used."""
+    """The function failstop.HOME.check.check. Its package is imported only when the check runs."""
     return lambda look: list(import_module(f"failstop.{home}").check(look))
 
 
@@ -48,6 +47,6 @@ CHECKS: dict[str, Check] = {
 
 def examine(look: Look) -> list[tuple[str, Finding]]:
     """Run all checks. Returns (name of the check, finding), the most serious first, and otherwise in the table's order.
-    Everything except the two self-tests takes less than two seconds."""
+    Everything except `ticks` and the test of the stop path takes less than two seconds."""
     found = [(name, finding) for name, check in CHECKS.items() for finding in check(look)]
     return sorted(found, key=lambda row: -LEVELS.index(row[1].level))

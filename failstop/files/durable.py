@@ -25,7 +25,8 @@ FILE_TYPES = {
 
 
 def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a regular file, also through links. It never waits, and refuses pipes and devices. Raises OSError."""
+    """Open a regular file, also through links. Pipes and devices are refused, so opening never waits. Raises
+    OSError."""
     # Check before opening, because opening a device can have effects, such as raising a port's modem lines.
     with contextlib.suppress(FileNotFoundError):
         _check_regular(os.lstat(path) if flags & os.O_NOFOLLOW else os.stat(path), path)
@@ -39,8 +40,8 @@ def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
 
 
 def open_own(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a file that the service made. It must be a regular file with a single name (no hard links), and belong to
-    this user or to the owner of its folder. Raises OSError."""
+    """Open a file that the service made. Raises OSError, also if the file is a link, is not regular, or has several
+    names (hard links). The file must belong to this user or to the owner of its folder."""
     fd = open_regular(path, flags | os.O_NOFOLLOW)
     try:
         found = os.fstat(fd)
@@ -61,8 +62,8 @@ def _check_regular(found: os.stat_result, path: str) -> None:
 
 
 def write_draft(draft: str, data: bytes) -> None:
-    """Write a new draft file in place of an old one, and sync it to the disk. If that fails, it removes the draft and
-    raises OSError."""
+    """Write a new draft in place of an old one, and sync it to the disk. If that fails, the draft is removed. Raises
+    OSError."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(draft)
     try:
@@ -84,8 +85,8 @@ def write_all(fd: int, data: bytes) -> None:
 
 
 def publish(draft: str, path: str) -> None:
-    """Rename a draft to its final name, in place of the old file. If the rename fails, the old file stays as it is.
-    Raises OSError."""
+    """Rename a draft to its final name, in place of the old file. If the rename fails, the draft is removed and the old
+    file stays. Raises OSError."""
     try:
         os.rename(draft, path)
     except OSError:
@@ -100,8 +101,8 @@ def publish(draft: str, path: str) -> None:
 
 
 def no_room(path: str) -> str:
-    """Why no new file fits on the disk of this path, as a text. Empty if there is room, or if the disk does not report
-    its free space. If the path does not exist, the nearest existing folder above it counts."""
+    """Why no new file fits on the disk of this path. Empty if there is room, or if the disk does not report its free
+    space. If the path does not exist, the nearest existing folder above it counts."""
     while not os.path.exists(path) and path != os.path.dirname(path):
         path = os.path.dirname(path)
     try:

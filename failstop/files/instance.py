@@ -106,14 +106,13 @@ def publish_run(runtime_dir: str, incarnation: int) -> int:
 
 
 def remember(runtime_dir: str, last: Last) -> None:
-    """Save how this service was started, so that it is known after the service has ended. Raises OSError."""
+    """Save how this service was started, for use after it has ended. Raises OSError."""
     words = last.device, last.command, last.board, f"{STOP_FIELD}{last.stop}", *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
 def last(name: str) -> Last:
-    """How the last service of this name was started, as far as this user can read it. All fields are empty if nothing
-    is known. Never raises."""
+    """How the last service of this name was started. All fields are empty if this user can't find out. Never raises."""
     found: list[tuple[int, int, list[str]]] = []
     # An impossible name, a missing file, or a file that can't be trusted.
     with contextlib.suppress(InstanceError):
@@ -129,8 +128,8 @@ def last(name: str) -> Last:
 
 
 def _read(path: str) -> tuple[int, int, list[str]]:
-    """Read one of these files: when it was written (Unix time, ns), the uid of its owner, and its fields. Raises
-    OSError."""
+    """Read the file of a last run. Returns (when it was written in Unix time, ns; the uid of its owner; its fields).
+    Raises OSError."""
     fd = place.opened(path, os.O_RDONLY)
     try:
         info = os.fstat(fd)
@@ -162,8 +161,8 @@ def _put(runtime_dir: str, path: str, data: bytes) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Remove the files of a run from its runtime directory when the run ends. It removes the `run` file first, so that
-    no client finds a service that is ending. The lock and the file of the last run stay."""
+    """Remove the files of a run when it ends. The `run` file goes first, so that no client finds a service that is
+    ending. The lock and the file of the last run stay."""
     try:
         where = place.directory(runtime_dir)
     except OSError:
@@ -219,8 +218,8 @@ def open_stop(name: str) -> tuple[str, int]:
 
 
 def _unseen(error: Exception, path: str) -> None:
-    """Raise InstanceError if the file could not be opened because too many files are open. A service may be running in
-    that case, so it must not be reported as missing."""
+    """Raise InstanceError if the file could not be opened because too many files are open. A service may still be
+    running, so it must not be reported as missing."""
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         raise InstanceError(f"{path} can't be opened: {error.strerror}") from error
 
@@ -232,5 +231,5 @@ def no_service(name: str, doubts: str = "") -> NoService:
 
 
 def start_command(name: str) -> str:
-    """The command line that starts a service of this name in the same way as last time."""
+    """The command line that starts this service as it was started last time."""
     return last(name).command or f"failstop run{option(name)}"

@@ -1,9 +1,9 @@
 """Places: opens files in a runtime directory without trusting other users.
 
-Another user could have put a directory, a link or a different kind of file at the expected path, so that this process
-writes into it. That would be worst if this process runs as root. So every directory and file is checked after it was
-opened. No link is followed. The directory must belong to root, to this user, or to a user who can have got it only from
-root. Nobody else may write to it. The file must have the expected kind and the same owner as its directory.
+Another user could put a directory, a link or another kind of file at the expected path, and this process would write
+into it. That is worst if this process runs as root. So every directory and file is checked after it was opened, and no
+link is followed. A directory must belong to root, to this user or to another trusted user (see _checked()), and nobody
+else may write to it. A file must have the expected kind and the same owner as its directory.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Untrusted(OSError):
-    """Another user may have made this file or directory. `strerror` names that user, or the other reason, and the
-    remedy."""
+    """Another user may have made this file or directory. `strerror` gives the reason and the remedy."""
 
     def __init__(self, path: str, why: str) -> None:
         super().__init__(errno.EBADF, f"{path} {why}", path)
@@ -51,16 +50,20 @@ def base_directory(path: str) -> int:
 
 
 def inner_directory(base: int, name: str, path: str) -> int:
-    """Open the directory `name` inside a directory that base_directory() has opened. `path` is its path for error
+    """Open the directory `name` inside a directory that base_directory() has opened. `path`: its path, for error
     messages. Raises OSError, or Untrusted."""
     return _checked(os.open(name, _DIRECTORY, dir_fd=base), path, os.fstat(base))
 
 
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
-    """Return `fd` if its directory can be trusted, else close it and raise Untrusted. The directory must belong to
-    root, to this user, to the owner of `base`, or to a user who can have got it only from root. Nobody else may write
-    to it. The only exception is a folder that contains runtime directories and has the sticky bit, because there nobody
-    can replace another user's files. For this folder, `base` is None."""
+    """Return `fd` if its directory can be trusted, else close it and raise Untrusted.
+
+    The directory must belong to root, to this user or to the owner of `base`. Any owner is trusted if the parent
+    directory belongs to root and only root may write to the parent. Nobody but the owner may write to the directory.
+
+    `base` is None for a folder that contains runtime directories. Others may write to such a folder if it has the
+    sticky bit, because then nobody can replace another user's files.
+    """
     try:
         found = os.fstat(fd)
         above = base or os.stat("..", dir_fd=fd)
@@ -79,8 +82,7 @@ def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
 
 def opened(path: str, flags: int, *, pipe: bool = False) -> int:
     """Open a file in a runtime directory, after checking the directory and the file. `pipe`: True for a FIFO, False for
-    a regular file. If `flags` create the file, only this user may read or write it (mode 0600). Raises OSError, or
-    Untrusted."""
+    a regular file. A file that `flags` create gets the mode 0600. Raises OSError, or Untrusted."""
     above, name = os.path.split(path)
     where = directory(above)
     try:

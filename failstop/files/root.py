@@ -1,5 +1,5 @@
-"""Root: the root directory below which this process finds the system directories, and the directory in which an
-instance keeps its files."""
+"""Root: the root directory below which failstop finds the system directories, and the directory in which an instance
+keeps its files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ installed or running on the machine."""
 
 
 def at(path: str) -> str:
-    """The path below the root directory for an absolute system path such as /run/failstop."""
+    """The path below the root directory ($FAILSTOP_ROOT) for an absolute system path such as /run/failstop."""
     return os.environ.get(VARIABLE, "") + path
 
 
@@ -27,10 +27,11 @@ def state_directory(
     configured: str = "",
     writable: Callable[[str], bool] = _by_this_process,
 ) -> str:
-    """The directory in which an instance keeps its files after it ends, such as incidents. It may not exist yet. The
-    first of these that applies is used: the `configured` one; systemd's $STATE_DIRECTORY; /var/lib/failstop/NAME if it
-    is writable; or else a folder in $XDG_STATE_HOME or ~/.local/state. `writable`: a function that returns True if the
-    user may write to a folder."""
+    """The directory in which an instance keeps its files after it ends, such as incidents. It may not exist yet.
+
+    The first of these is used: `configured`, systemd's $STATE_DIRECTORY, /var/lib/failstop/NAME if it is writable,
+    failstop/NAME in $XDG_STATE_HOME or ~/.local/state. `writable`: returns True if the user may write to a folder.
+    """
     if configured:
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:

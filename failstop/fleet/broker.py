@@ -1,4 +1,4 @@
-"""Broker: keeps a connection to the MQTT broker, and makes a new one whenever it breaks. It uses paho-mqtt without
+"""Broker: keeps a connection to the MQTT broker, and connects again when it breaks. It uses paho-mqtt without
 paho-mqtt's threads."""
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ connection breaks. All subscriptions use it, so the broker never waits for this 
 
 
 class Broker:
-    """Connects to the broker, keeps the connection alive, and hands on messages. Call turn() in a loop. `problem` says
-    why there is no connection. It is empty while there is one."""
+    """A connection to the broker that hands on messages. Call turn() in a loop. `problem` says why there is no
+    connection, and is empty while there is one."""
 
     def __init__(
         self,
@@ -74,11 +74,11 @@ class Broker:
         *,
         newest_first: bool = False,
     ) -> None:
-        """`subscriptions`: the topics to read. `hear` is called for each message with its topic, its payload, and True
-        if the broker had stored the message. `up` is called at each new connection. With `newest_first`, messages that
-        arrive together are handed on newest first, for at most HEAR_S.
+        """`subscriptions`: the topics to read. `hear` gets each message: its topic, its payload, and True if the broker
+        had stored it. `up` is called at each new connection. With `newest_first`, messages that arrive together are
+        handed on newest first, for at most HEAR_S.
 
-        Raises FleetError if paho-mqtt is missing or a file can't be read.
+        Raises FleetError if paho-mqtt is missing, a file can't be read, or the settings don't fit together.
         """
         try:
             from paho.mqtt.enums import CallbackAPIVersion
@@ -167,7 +167,8 @@ class Broker:
         return bool(self.client.want_write())
 
     def turn(self, timeout_s: float) -> None:
-        """Wait for the broker for at most `timeout_s`. Then read, write or reconnect, whichever is needed."""
+        """Wait for the broker for at most `timeout_s`, then read and write. Without a connection, try to connect, which
+        may take CONNECT_S longer."""
         if self.fileno() < 0:
             self.connect(time.monotonic())
             if self.fileno() < 0:
@@ -196,9 +197,8 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. With `newest_first`, those that could not be handed on within HEAR_S are
-        dropped. This happens only in a flood of messages. If a real fleet stop is dropped, its sender sends it
-        again."""
+        """Hand on the messages that were read. With `newest_first`, messages that are left after HEAR_S are dropped.
+        This happens only in a flood of messages, and the sender of a fleet stop repeats it."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
@@ -227,7 +227,7 @@ class Broker:
             self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
 
     def confirmed(self, wait_s: float) -> bool:
-        """Wait until there is a connection and the broker has acknowledged every message that was published with ONCE.
+        """Connect if needed, and wait until the broker has acknowledged every message that was published with ONCE.
         Returns False if this takes longer than `wait_s`."""
         until_s = time.monotonic() + wait_s
         self._try_at_s = 0.0
@@ -238,12 +238,10 @@ class Broker:
         return True
 
     def close(self) -> None:
-        """Disconnect cleanly, so that the broker does not publish the last will. Then wait until the broker ends the
-        connection, for at most CLOSE_S.
+        """Disconnect cleanly, so that the broker does not publish the last will. Waits for at most CLOSE_S.
 
-        The broker must close the connection first. If this client closed it and bytes arrived afterwards, the kernel
-        would reset the connection. The broker might see the reset before it reads the goodbye, and would report this
-        client as lost.
+        The broker must close the connection first. If this client closed it, later bytes from the broker would make the
+        kernel reset the connection. Then the broker might miss the goodbye and report this client as lost.
         """
         self._closing = True
         if (fd := self.fileno()) < 0:
@@ -290,8 +288,8 @@ class Broker:
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
-    """Raise FleetError if the file can't be read. The message names the setting and the file, because the error that
-    TLS raises names neither."""
+    """Raise FleetError if the file can't be read. The message names the setting and the file, because the error from
+    TLS names neither."""
     if not path:
         return
     try:

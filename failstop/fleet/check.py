@@ -10,7 +10,7 @@ PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
 
 def check(look: Look) -> list[Finding]:
     """Check whether this robot obeys fleet stops, from the status that its publisher reports to systemd. A publisher
-    that was started by hand is not seen, because it reports its status only on its terminal."""
+    that was started by hand is not seen."""
     said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
     found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
     active, enabled = found.get("ActiveState") == "active", found.get("UnitFileState", "").startswith("enabled")

@@ -12,13 +12,13 @@ READ_BYTES = 1 << 16
 
 
 class Client(client.Client):
-    """A client of paho-mqtt. Get its messages from `wire`, because no callback delivers them."""
+    """A client of paho-mqtt whose messages wait in `wire`. No callback delivers them."""
 
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Give paho-mqtt the next received bytes. The messages among them are left out, and stay in `wire`. If there
-        are no bytes to give, read the connection once."""
+        """Return the next received bytes for paho-mqtt. Messages are left out, and stay in `wire`. If no bytes wait,
+        read the connection once. Raises BlockingIOError if that brings only messages."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:
@@ -29,13 +29,12 @@ class Client(client.Client):
         return self.wire.read(bufsize)
 
     def buffered(self) -> bool:
-        """Return True while there are received bytes that poll() does not report, because `wire` or TLS has read them
-        from the connection already."""
+        """Return True while received bytes wait in `wire` or in TLS, where poll() does not see them."""
         found = self.socket()
         return self.wire.holds() or (isinstance(found, ssl.SSLSocket) and found.pending() > 0)
 
     def waits(self) -> bool:
-        """Return True while the broker must still acknowledge a message of this client."""
+        """Return True until the broker has acknowledged every message of this client."""
         return bool(self._out_messages)
 
     def drop(self) -> None:

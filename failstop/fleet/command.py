@@ -118,7 +118,8 @@ def _publish(arguments: Namespace) -> int:
 
 
 def _status(deaf: str, doubled: str) -> str:
-    """Return the status of this robot's publisher in systemd's format, for `systemctl status` and `failstop doctor`."""
+    """Return the status of this robot's publisher in systemd's format. `systemctl status` and `failstop doctor` show
+    it."""
     if deaf:
         return f"STATUS=obeys no fleet stop: {words.printable(deaf)}\nERRNO={errno.ENOTCONN}"
     if doubled:
@@ -198,8 +199,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _blind(broker: Broker) -> str:
-    """Return a warning that robots may be missing from the screen, because the broker does not let this client read
-    some topics. Empty if the client may read all topics."""
+    """Return a warning if the broker does not let this client read some topics, because then robots may be missing.
+    Otherwise empty."""
     denied = " and ".join(broker.denied)
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
@@ -227,8 +228,7 @@ def _stop(arguments: Namespace) -> int:
 
 
 class Progress:
-    """Shows how many robots have confirmed a stop, in one line on stderr that is updated in place. Shows nothing if
-    stderr is not a terminal."""
+    """A line on stderr that shows how many robots have confirmed a stop. Shows nothing if stderr is not a terminal."""
 
     def __init__(self, stopping: Sender) -> None:
         self._stopping = stopping
@@ -257,9 +257,9 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raise FleetError if the robot is still alive. If the broker reports the robot as connected, wait for a message of
-    the robot itself. The broker's report alone proves nothing: if a robot is switched off while the broker is down, the
-    broker reports it as connected forever."""
+    """Raise FleetError if the robot is still alive, or if the connection to the broker is lost. If the broker reports
+    the robot as connected, wait for a message of the robot itself. The broker's report proves nothing, because it stays
+    forever if the robot is switched off while the broker is down."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

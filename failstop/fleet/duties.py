@@ -1,7 +1,7 @@
 """Duties: decides which fleet stops this robot obeys, and which answers this robot sends to a fleet stop. Pure.
 
-The publisher first requests the stop from the service, and saves the stop's id afterwards. If the publisher crashes in
-between, the robot may obey the same stop twice. In the other order, a crash could lose the stop.
+The publisher requests a stop from the service before it saves the stop's id. If the publisher crashes in between, the
+robot may obey the stop twice. In the other order, a crash could lose the stop.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Duty:
     """One fleet stop that this robot carries out."""
 
     def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """Create the object right after the stop was requested from the service. `now_s`: time.monotonic(). `before`:
-        the service's state before the request, or None if it could not be read."""
+        """Make this right after the stop was requested from the service. `now_s`: time.monotonic(). `unix_s`: Unix
+        time. `before`: the service's state before the request, or None if it could not be read."""
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
@@ -41,8 +41,7 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """Read from the service's state which levels the stop has reached. Returns True if it has reached a new
-        level."""
+        """Read the levels that the stop has reached from the service's state. Returns True if one of them is new."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
@@ -61,13 +60,13 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """Return True if the service has obeyed this fleet stop. `stop`: the service's last stop. Usually the service
-        makes a new stop, whose epoch is newer than the service's epoch before the request. If the epoch before the
-        request is not known, the stop must not be older than the request.
+        """Return True if the service has obeyed this fleet stop. `stop`: the service's last stop.
 
-        If a stop was latched already, the service makes no new one, but its own epoch becomes newer when it receives
-        the request. So this epoch must be newer than before. If the board can answer, the service must also still hear
-        the board.
+        A new stop must have a newer epoch than the service had before the request. If that epoch is not known, the stop
+        must not be older than the request.
+
+        If a stop was latched already, the service makes no new stop. Then the service's own epoch must be newer than
+        before the request. A board that can answer must also still be heard.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s
@@ -77,7 +76,7 @@ class Duty:
         )
 
     def open(self, now_s: float) -> bool:
-        """Return True until the robot has all proofs of this stop (written, acknowledged, observed), but for at most
+        """Return True until this stop has all its proofs (written, acknowledged, observed), but for at most
         FOLLOWED_S."""
         return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
 
@@ -107,8 +106,8 @@ class Duties:
         self._refused_s = -AGAIN_EVERY_S
 
     def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
-        """Judge a message. Returns (order, answer). If `order` is not None, it is a new stop, and the caller must
-        request it from the service at once. If `answer` is not None, the caller must publish it at once."""
+        """Judge a message. Returns (order, answer). The caller must request `order` from the service, or publish
+        `answer`, at once. Either may be None."""
         try:
             order = levels.read_order(self._key, message)
         except signed.Forged as error:
@@ -126,9 +125,9 @@ class Duties:
         return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
-        """Return the answer to a stop that its sender repeats. If this program was restarted after it had requested the
-        stop, the answer says only that the stop was requested. None if the last answer was sent less than AGAIN_EVERY_S
-        ago."""
+        """Return the answer to a stop that its sender repeats. None if the last answer was sent less than AGAIN_EVERY_S
+        ago. For a stop that was requested before a restart of this program, the answer says only that it was
+        requested."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)
@@ -137,8 +136,8 @@ class Duties:
         return self._answer(duty, now_s)
 
     def failed(self, order: Order, problem: str) -> StopAnswer:
-        """Return the answer to a stop that could not be requested. The stop still counts as new, so the robot requests
-        it again when the sender repeats the stop."""
+        """Return the answer to a stop that could not be requested. The stop still counts as new, so its next repeat is
+        requested again."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
@@ -152,8 +151,8 @@ class Duties:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """Return the answers that must be sent now, because a stop has reached a new level or has not been answered
-        yet. The first answer has all levels that are known by then."""
+        """Return the answers that must be sent now: one for each stop that has a new level or was not answered yet. An
+        answer has all levels that are known so far."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
@@ -167,7 +166,7 @@ class Duties:
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """Return True while the sender of a stop still waits for this robot to confirm it."""
+        """Return True while a stop has not reached the level that confirms it on this robot."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

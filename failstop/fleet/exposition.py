@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 
 class Collector:
-    """Reads the service's state at each scrape. After a restart of the service, it finds the service again.
-    Thread-safe."""
+    """Reads the service's state at each scrape, also after a restart of the service. Thread-safe."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -30,7 +29,7 @@ class Collector:
         self._lock = threading.Lock()
 
     def state(self) -> State | None:
-        """Return the service's present state. None if no service is running."""
+        """Return the service's present state. None if no service is running, or if its state can't be read."""
         with self._lock:
             for _ in range(2):  # if the run that was read has ended, try the next run
                 try:

@@ -43,7 +43,7 @@ class Order:
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """Return the signed message. A long reason is cut, so that robots accept the message."""
+        """Return the signed message. A long reason or name is cut to MOST_TEXT."""
         body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP_PURPOSE, body)
 

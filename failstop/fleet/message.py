@@ -1,6 +1,6 @@
 """The JSON messages that a robot publishes on the broker: its connection, its state, and its newest event. Pure.
 
-A value that is not known is left out. `t` is Unix time in s, and all other times are durations in s.
+A value that is not known is left out. `t` and `event_t` are Unix times in s. All other times are durations in s.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ LATEST_S = 1e11
 
 
 class Header:
-    """Adds the fields that every message of a robot has. One of them is the message's number, which is counted
-    separately for each topic."""
+    """Adds the fields that every message of a robot has, such as the message's number, which counts separately in each
+    topic."""
 
     def __init__(self, fleet: str, robot: str, publisher: str = "") -> None:
         """`publisher`: the random number of this publisher (twins.py)."""
@@ -81,7 +81,7 @@ def connection(state: str, period_s: float | None = None, heard: Sequence[str] =
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
-    """Return the body of a state message. If no service is running, `state` is None, and `note` says why. `extra`:
+    """Return the body of a state message. Without a running service, `state` is None and `note` says why. `extra`:
     errors of the publisher itself."""
     if state is None:
         error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
@@ -111,7 +111,7 @@ def steady(found: Message) -> Message:
 
 
 def why(state: State) -> str:
-    """Return one line that says what the wheels do, or why they don't move."""
+    """Return one line about what the wheels do, or why they don't move."""
     if doubt := verdict.doubt(state):
         return doubt
     blocked = str(state.cause) if state.cause else state.blocked
@@ -158,7 +158,7 @@ def _errors(state: State) -> list[Message]:
 
 
 def _seen(state: State) -> Message:
-    """Return what is observed of the wheels, as JSON fields."""
+    """Return what is known about the wheels' motion, as JSON fields."""
     known = state.turning
     found: Message = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
     if known.age_s is not None:

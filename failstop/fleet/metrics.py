@@ -33,7 +33,7 @@ PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "wait
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A metric: its name, its type, its help text, its labels, and a function that reads its samples from a state."""
+    """A metric for Prometheus. `doc`: its help text. `read`: returns its samples from a state."""
 
     name: str
     kind: str
@@ -112,8 +112,7 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """Return the measured speed of each wheel. Empty if the reading is old, because the speeds may have changed since
-    then."""
+    """Return the measured speed of each wheel. Empty if there is no speed, or if the reading is old."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []

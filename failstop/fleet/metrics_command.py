@@ -26,8 +26,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print the metrics once, or serve them until a signal ends this process. If no service is running, this is no
-    error, and the only metric is `failstop_up 0`. Raises FleetError."""
+    """Print the metrics once, or serve them until a signal ends this process. Without a running service, the only
+    metric is `failstop_up 0`. Raises FleetError."""
     if arguments.serve is None:
         sys.stdout.write(exposition.text(arguments.name))
         return 0

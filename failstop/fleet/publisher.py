@@ -1,8 +1,8 @@
 """Publisher: publishes this robot's connection, state and events on the broker, and carries out fleet stops.
 
-The robot works without its publisher, and the publisher can't move the robot. The publisher has no special rights. It
-requests stops through the service's stop pipe, to which every local user may write. It reads only what every user may
-read.
+The robot works without its publisher, and the publisher can't move the robot. The publisher has no special rights. The
+publisher requests stops through the service's stop pipe, to which every local user may write. From the service, the
+publisher reads only what every user may read.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
     class Robot(Protocol):
-        """The robot that is published."""
+        """The robot's service, as the publisher uses it."""
 
         def read(self) -> tuple[State | None, str]: ...
         def events(self) -> list[Event]: ...
@@ -72,8 +72,7 @@ NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """Reads the robot's service on this computer, and requests stops. After a restart of the service, it finds the
-    service again."""
+    """The robot's service on this computer, which is found again after a restart."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -154,8 +153,8 @@ class Publisher:
         return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
-        """Wait for a message from the broker until the next look is due, but at most `longest_s`. Then handle the
-        messages that have arrived, and call look()."""
+        """Wait for messages until the next look is due, but at most `longest_s`. Handle the messages, then call look().
+        Without a connection, this may take longer (see Broker.turn())."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         # With a second publisher of this name this is not logged: they may end each other's connection every second.
@@ -197,7 +196,7 @@ class Publisher:
                 self._publish_event(event)
 
     def deaf(self) -> str:
-        """Return the reason why this robot would not obey a fleet stop now. Empty if it would."""
+        """Return why this robot would not obey a fleet stop now. Empty if it would."""
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
@@ -223,8 +222,7 @@ class Publisher:
 
     def close(self) -> None:
         """End cleanly: publish that the robot is offline, so that it does not count as lost. If the broker does not
-        confirm this message within CLOSE_S, the connection is dropped, so that the broker publishes the last will
-        instead."""
+        confirm this message within CLOSE_S, drop the connection. Then the broker publishes the last will."""
         self._word = message.OFFLINE
         self._connection()
         if self.broker.confirmed(CLOSE_S):
@@ -270,8 +268,8 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
-        """Return the errors of the publisher itself, for example that somebody sends forged stops. They are published
-        along with the errors of the robot's service."""
+        """Return the publisher's own errors, such as forged stops. They are published along with the service's
+        errors."""
         found = []
         if off := self._off or self._denied():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
@@ -284,8 +282,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Handle a message: a fleet stop, a forged stop, or a connection message with this robot's name, which may come
-        from another publisher."""
+        """Handle a message: a fleet stop, which may be forged, or a connection message with this robot's name, which
+        may come from another publisher."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -324,8 +322,8 @@ class Publisher:
         self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # if this answer is lost, the sender asks again
 
     def _remember(self) -> None:
-        """Save the ids of obeyed stops, so that a restart does not forget them. If the file can't be written, only log
-        the error, because the robot must keep obeying stops."""
+        """Save the ids of obeyed stops for the next start. An error is only logged, because the robot must keep obeying
+        stops."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())
@@ -346,8 +344,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """Read from a file which stops were obeyed earlier. If the file can't be read, this starts without any. Then a stop
-    that somebody has recorded could work again, until its date is older than the tolerance."""
+    """Read which stops were obeyed earlier. If the file can't be read, a recorded stop could work again until its date
+    is older than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:

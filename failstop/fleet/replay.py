@@ -1,10 +1,10 @@
 """Replay: tells a new fleet stop from an old one that somebody recorded and sends again. Pure, because the time is an
 argument.
 
-A stop has an id and a date. A stop is obeyed only if its id is new and its date is close to this robot's clock. When
-the date of an obeyed stop has become too old to be accepted, the robot forgets the stop's id. Of all forgotten stops,
-it remembers only the newest date, and refuses every stop that is not newer than this date. So a recorded stop never
-works again, not even after a restart, or if somebody sets the clock back.
+A stop has an id and a date. A robot obeys a stop only if its id is new and its date is close to the robot's clock. When
+the date of an obeyed stop has become too old to be accepted, the robot forgets the stop's id. The robot keeps the
+newest date of all forgotten stops, and refuses every stop that is not newer. While the file of obeyed stops is kept, a
+recorded stop never works again, even after a restart or with a clock that was set back.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ class Seen:
     """Remembers the stops that were obeyed, and judges new ones."""
 
     def __init__(self, tolerance_s: float, ids: dict[str, float] | None = None, floor_s: float = UNKNOWN_S) -> None:
-        """`tolerance_s`: how far a stop's date may differ from this robot's clock, s. `ids`: the date of each id that
-        was obeyed. `floor_s`: a stop with this date or an older one is refused. Dates are Unix time, s."""
+        """`tolerance_s`: how far a stop's date may differ from this robot's clock, s. `ids`: the date of each obeyed
+        stop, by id. Stops that are not newer than `floor_s` are refused. Dates are Unix time, s."""
         self._tolerance_s = tolerance_s
         self._ids = dict(ids or {})
         self._floor_s = floor_s
 
     def judge(self, stop_id: str, dated_s: float, now_s: float) -> str:
-        """Judge a stop. Returns NEW if the stop must be obeyed, AGAIN if a stop with this id was obeyed already, or the
-        reason why the stop is refused."""
+        """Judge a stop. Returns NEW if it must be obeyed, AGAIN if it was obeyed already, or the reason to refuse
+        it."""
         if stop_id in self._ids:
             return AGAIN
         off_s = dated_s - now_s

@@ -77,8 +77,8 @@ def progress(tally: Tally, problem: str, age_s: float) -> str:
 
 
 def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the result for programs. `complete` is True if all known robots have confirmed the stop, and there are no
-    doubts. The exit code of `failstop fleet stop` is then 0."""
+    """Return the result for programs. `complete` is True if at least one robot is known, all known robots have
+    confirmed the stop, and there are no doubts. Then `failstop fleet stop` exits with 0, unless it was interrupted."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {

@@ -1,4 +1,4 @@
-"""Roster: collects what the robots publish on the broker. Pure, because the times of the clocks are arguments."""
+"""Roster: collects what the robots publish on the broker. Pure: every time is an argument."""
 
 from __future__ import annotations
 
@@ -71,9 +71,8 @@ class Robot:
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """Return how long the robot has shown no sign of life, s. If all its messages so far came from the broker's
-        store, this is computed from the newest date in them. Then the result is too small if the robot's clock is
-        ahead."""
+        """Return how long the robot has shown no sign of life, s. If all its messages came from the broker's store, the
+        date in the last of them counts. The result is then too small if the robot's clock is ahead."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
@@ -81,8 +80,7 @@ class Robot:
 
     def silent_after_s(self) -> float:
         """Return how long a robot may be silent until it counts as lost, s. The limit also applies to a robot that the
-        broker reports as ONLINE, because the broker keeps this report if a robot is switched off while the broker is
-        down."""
+        broker reports as ONLINE. The broker keeps this report if the robot is switched off while the broker is down."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:
@@ -103,8 +101,8 @@ class Roster:
         """How many messages could not be read."""
 
     def hear(self, topic: str, payload: bytes, now_s: float, *, retained: bool) -> None:
-        """Add a robot's message to what is known. An empty message means that somebody has removed the robot's stored
-        message from the broker, so the robot is removed here too."""
+        """Add a robot's message to what is known. An empty message removes the robot, because somebody has removed the
+        robot's stored message from the broker."""
         robot, last = topics.robot_of(topic)
         if not payload:
             self.robots.pop(robot, None)
@@ -138,8 +136,8 @@ class Roster:
 
 
 def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
-    """Add the content of a state message to the robot. Raises ValueError, KeyError, TypeError, AttributeError or
-    OverflowError if the message is malformed."""
+    """Copy a state message into the robot. Raises ValueError, KeyError, TypeError, AttributeError or OverflowError if
+    the message is malformed."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
     robot.moves = found["moves"] is True
@@ -153,13 +151,13 @@ def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> N
 
 
 def _text(found: object) -> str:
-    """Return a robot's text in printable characters, on one line, and at most MOST_TEXT long."""
+    """Return a robot's text as one printable line of at most MOST_TEXT characters."""
     return words.printable(str(found)[:MOST_TEXT])[:MOST_TEXT]
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """Return the value if it is a number between `low` and `high`, else None. Python's JSON reader also accepts NaN and
-    huge integers, so this check is needed."""
+    """Return the value if it is a number between `low` and `high`, else None. A robot's JSON may also contain NaN or a
+    huge integer."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)

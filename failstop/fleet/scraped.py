@@ -1,4 +1,4 @@
-"""Scraped: the HTTP server for the metrics. However many programs connect, its threads and its memory stay limited."""
+"""Scraped: the HTTP server for the metrics. Its threads and its memory stay limited, however many programs connect."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Handler(WSGIRequestHandler):
 
 
 class Server(ThreadingMixIn, WSGIServer):
-    """An HTTP server with a thread for each connection. If there are too many, it closes the oldest."""
+    """An HTTP server with a thread for each connection. The oldest connection is closed if there are too many."""
 
     daemon_threads = True
     block_on_close = False

@@ -62,11 +62,11 @@ class Sender:
 
     def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
         """Send the stop, and repeat it until all robots have confirmed it or the time is over. Returns True if all
-        known robots have confirmed the stop, and there is no reason to think that more robots exist. Raises FleetError
-        if the stop could not be given to the broker.
+        known robots have confirmed the stop and `doubts` is empty. Raises FleetError if the stop could not be given to
+        the broker.
 
-        `wait_s`: the longest time to wait. The default is WAIT_S, or longer if the broker may have restarted recently,
-        because some robots may still be reconnecting. `progress` is called again and again during the wait.
+        `wait_s`: the longest time to wait. The default is WAIT_S, or longer while robots may still be reconnecting
+        after a restart of the broker. `progress` is called again and again during the wait.
         """
         until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
         confirmed_s: float | None = None
@@ -101,8 +101,8 @@ class Sender:
         return self.heard_all and self.tally.all_confirmed()
 
     def _late(self, now_s: float) -> str:
-        """Return the reason why the broker may not know all robots yet. Empty if every robot has had time to
-        connect."""
+        """Return why the count of robots may be wrong: robots may still be connecting after a restart of the broker, or
+        a connection may keep breaking. Otherwise empty."""
         after_s = now_s - (self.sent_s or now_s)
         oldest_s = self.tally.oldest_s()
         if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
@@ -147,9 +147,12 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """Send the stop. It goes to all robots in three cases: if it is sent for the first time, if more than MANY and
-        more than half of all robots are missing, or if the broker may know more robots than it has named. In all other
-        cases it goes only to the missing robots, one by one."""
+        """Send the stop to the missing robots, one by one. The stop goes to all robots at once in three cases:
+
+        - The stop is sent for the first time.
+        - More than MANY robots are missing, and more than half of all robots.
+        - The broker may know more robots than it has named.
+        """
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)

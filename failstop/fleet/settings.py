@@ -2,7 +2,7 @@
 own.
 
 The service does not read that file, so a mistake in the file can't keep the service from starting. A computer without a
-robot needs the file too, if somebody wants to stop the fleet from this computer.
+robot needs the file too, if it is used to stop the fleet.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ class FleetSettings:
     """All settings of the fleet, checked."""
 
     def __init__(self, given: dict[str, object]) -> None:
-        """`given`: the values of some settings, by whole keys such as `broker.host`. All other settings have their
-        defaults. Raises SettingError."""
+        """`given`: values by whole keys such as `broker.host`. All other settings have their defaults. Raises
+        SettingError."""
         for key in sorted(set(given) & set(GONE)):
             raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
@@ -110,8 +110,7 @@ class FleetSettings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse settings that would have no effect. For example, without TLS a certificate would protect nothing,
-        although the user thinks that it does."""
+        """Refuse settings that would have no effect, such as a certificate without TLS. Raises SettingError."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
@@ -128,8 +127,8 @@ class FleetSettings:
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """Return the path of a file with a secret. If systemd has passed the credential `credential`, this is its file.
-        Otherwise it is the file that the setting `key` names."""
+        """Return the path of a file with a secret: systemd's file for `credential` if systemd has passed one, else the
+        file that the setting `key` names."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
@@ -144,8 +143,8 @@ class FleetSettings:
 
     def robot_id(self, name: str) -> str:
         """Return the robot's name in the fleet: the setting robot.id, or the computer's host name if that setting is
-        empty. If `name`, the name of the service, is not the default one, "-" and `name` are added. Raises SettingError
-        if the host name is needed but can't be a robot's name."""
+        empty. The name of the service is added after a "-", unless it is the default name. Raises SettingError if the
+        host name is needed but can't be a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()
@@ -155,8 +154,8 @@ class FleetSettings:
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSettings:
-    """Read the settings from a file. Values in `changed` replace those in the file. Without a path, this reads the
-    installed file if there is one. Raises SettingError."""
+    """Read the settings from `path`, or from the installed file if it exists. Values in `changed` replace those in the
+    file. Raises SettingError."""
     if path is None and os.path.exists(installed := root.at(PLACE)):
         path = installed
     found = config.read(path)
@@ -169,7 +168,7 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """Return the robots that must confirm a fleet stop, from the file stop.robots_file. None if that setting is empty.
+    """Return the names in stop.robots_file: the robots that must confirm a fleet stop. None if that setting is empty.
     Raises FleetError."""
     path = found.text("stop.robots_file")
     if not path:
@@ -189,8 +188,8 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
 
 
 def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetError:
-    """Return an error that names the setting, the file, and the remedy. `credential`: the name of the credential by
-    which systemd can pass the file to the unit, or "" if the file is not secret."""
+    """Return an error that names the setting, the file, and the remedy. `credential`: the systemd credential that can
+    pass the file to the unit, or "" if the file is not secret."""
     text = f"{key} {path}: {error.strerror or error}"
     if not isinstance(error, PermissionError):
         return FleetError(text)
@@ -203,8 +202,8 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """Return an example settings file that shows every setting with its default. Every default is a comment, and every
-    setting has its whole key, so a person may add a setting anywhere in the file."""
+    """Return an example settings file, with every setting commented out at its default. Settings have whole keys, so a
+    person may add one anywhere in the file."""
     lines = [
         "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
         "# a line with the whole name anywhere.",

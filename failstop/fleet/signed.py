@@ -1,5 +1,4 @@
-"""Signed messages: they prove that their sender has the fleet's key. Pure, except for reading and making the key's
-file.
+"""Signed messages: they prove that their sender has the fleet's key. Pure, except for the key's file.
 
 A message is {"body": "...", "mac": "..."}. The mac is the HMAC-SHA256 of the message's purpose and the body's text. The
 text itself is signed, so it does not matter how a program formats JSON. The purpose is signed too, so nobody can pass
@@ -31,7 +30,7 @@ OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 class Forged(ValueError):
-    """The message was not signed with the fleet's key."""
+    """The message is too long, is malformed, or was not signed with the fleet's key."""
 
 
 def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
@@ -41,8 +40,7 @@ def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
 
 
 def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
-    """Check a signed message, and return its body. Raises Forged if it was not signed with this key for this
-    purpose."""
+    """Check a signed message, and return its body. Raises Forged, also if it was signed for another purpose."""
     if len(message) > MOST_BYTES:
         raise Forged(f"{len(message)} bytes")
     try:
@@ -112,7 +110,7 @@ def read_key(path: str) -> bytes:
 
 
 def _handed_over(path: str) -> bool:
-    """Return True if the file is a credential from systemd. Other users can't read it, whatever its permissions are,
-    because systemd puts it into a folder that only this service can open."""
+    """Return True if the file is a credential from systemd. Its permissions do not matter, because systemd puts it into
+    a folder that only this service can open."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

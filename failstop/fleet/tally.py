@@ -75,8 +75,8 @@ class Tally:
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str, publisher: str = "") -> None:
-        """Note what the broker reports about a robot's connection, with the number of the robot's publisher. An empty
-        `word` means that somebody has removed the stored message."""
+        """Note a robot's connection, as the broker reports it. `publisher`: the number of the robot's publisher. An
+        empty `word` means that somebody has removed the stored message."""
         if word:
             self._connections[robot] = word, publisher
         elif robot in self._connections:
@@ -86,8 +86,8 @@ class Tally:
         self._judge(robot)
 
     def answer(self, answer: StopAnswer, after_s: float) -> bool:
-        """Note a robot's answer, which arrived at `after_s`. Returns True if the answer has a level that this robot had
-        not reported before."""
+        """Note a robot's answer, which arrived at `after_s`. Returns True if it has a level that is new for this
+        robot."""
         told = self._answers.setdefault(answer.robot, {})
         new = [level for level in answer.reached if level not in told]
         for level in new:
@@ -105,8 +105,8 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Decide if a robot can't count as confirmed. This is so if two publishers use its name, or if its version of
-        failstop is too old to notice a second publisher."""
+        """Bar a robot from counting as confirmed if two publishers use its name, or if its failstop is too old to
+        notice a second publisher. Otherwise lift the bar."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # One publisher's connection has ended, but another publisher answers.
@@ -119,8 +119,8 @@ class Tally:
             self._barred.pop(robot, None)
 
     def reconnected(self) -> None:
-        """Forget how long the robots have been connected, because the sender has a new connection and the broker may
-        have restarted."""
+        """Forget how long the robots have been connected. Call this when the sender has a new connection, because the
+        broker may have restarted."""
         self._since_s.clear()
 
     def robots(self) -> list[str]:
@@ -132,13 +132,13 @@ class Tally:
         return self._connections.keys() | self._listed
 
     def hidden(self) -> list[str]:
-        """Return the robots that have answered but were never named by the broker. If there are any, the broker may
-        hide more robots."""
+        """Return the robots that have answered although the broker never named them. The broker may then hide more
+        robots."""
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """Return the robots that have reported this level. Robots that can't count as confirmed are left out. For
-        example, if two publishers use one name, nobody knows which of the two robots has answered."""
+        """Return the robots that have reported this level. Robots that can't count as confirmed are left out (see
+        _judge())."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
@@ -160,8 +160,8 @@ class Tally:
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """Return when the oldest connection between a robot and the broker began, according to the robots' answers. The
-        broker has been running at least since then. None if no robot has answered."""
+        """Return when the oldest connection between a robot and the broker began, by the robots' answers. The broker
+        has been running at least since then. None if no robot has answered since reconnected()."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:

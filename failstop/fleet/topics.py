@@ -18,8 +18,7 @@ EVENT = "event"
 
 
 def of_robot(fleet: str, robot: str, last: str) -> str:
-    """Return a robot's topic that ends with `last`. If `robot` is ANY, the result is a pattern that matches this topic
-    of every robot."""
+    """Return a robot's topic that ends with `last`. With ANY as `robot`, it is a pattern for all robots."""
     return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 
@@ -35,6 +34,5 @@ def stop(fleet: str, robot: str = "") -> str:
 
 
 def answer(fleet: str, stop_id: str, robot: str) -> str:
-    """Return the topic for a robot's answer to this stop. If `robot` is ANY, the result is a pattern that matches the
-    answers of all robots."""
+    """Return the topic for a robot's answer to this stop. With ANY as `robot`, it is a pattern for all robots."""
     return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

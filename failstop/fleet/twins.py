@@ -4,9 +4,8 @@ By default, a robot's name is its computer's host name, so two robots with copie
 name. To notice this, every publisher draws a random number when it starts. Its messages contain this number, and also
 the numbers that it has heard from other publishers with its name.
 
-Nobody can list a number before it is drawn. So if another publisher's message lists this publisher's number, both
-publishers run at the same time. This conclusion is right in whatever order the messages arrive, and even if clocks are
-wrong.
+Nobody can list a number before it is drawn. So another publisher whose message lists this publisher's number has run at
+the same time as this publisher. This is certain in whatever order the messages arrive, and even if clocks are wrong.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def draw() -> str:
 
 
 def number_of(found: object) -> str:
-    """Check the field `publisher` of a message. Returns the number, or "" if the message has none."""
+    """Return the publisher's number from a message's field `publisher`, or "" if it has none."""
     return found if isinstance(found, str) and NUMBER.fullmatch(found) else ""
 
 
@@ -53,7 +52,7 @@ NOTHING = Said()
 
 
 def connection_of(payload: bytes) -> Said:
-    """Read a connection message."""
+    """Read a connection message. Returns NOTHING if it is empty or can't be read."""
     try:
         found = json.loads(payload) if payload else {}
         if word := found.get("connection"):
@@ -88,8 +87,8 @@ class Twins:
         date, it is infinity."""
 
     def connected(self) -> None:
-        """Note a new connection to the broker. Call this before hear(), because the broker first sends its stored
-        message, which may be from before this publisher has started."""
+        """Note a new connection to the broker. Call this before hear(), because the broker's first message may be a
+        stored one from before this publisher's start."""
         self._connections += 1
 
     def heard(self) -> list[str]:
@@ -120,7 +119,10 @@ class Twins:
             self.others.add(said.number)
 
     def _later(self, said: Said) -> bool:
-        """Return True if the date of the message suggests that its sender is running now, because it is later than this
-        publisher's start. This is not certain, because a clock may be wrong. But if another publisher hangs before it
-        has listed any number, such a date is the only sign of it."""
+        """Return True if the date of the message suggests that its sender is running now. The date must be later than
+        this publisher's start, and later than the date in `_kept_s`.
+
+        A clock may be wrong, so this is not certain. But such a date is the only sign of a publisher that hangs before
+        it has listed any number.
+        """
         return said.dated_s is not None and said.dated_s > max(self._started_s, self._kept_s.get(said.number, 0.0))

@@ -95,8 +95,8 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
 
 
 def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
-    """Return a table with a row for each robot. Robots that need a person come first. `columns`: the screen's width.
-    The names of the robots get at most a third of the width."""
+    """Return a table with a row for each robot. Robots that need a person come first. `columns`: the screen's width. A
+    robot's name gets at most a third of it, but at least LEAST_ROBOT_COLUMNS."""
     most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]

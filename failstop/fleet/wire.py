@@ -1,8 +1,8 @@
 """Wire: splits the bytes from a broker into packets before paho-mqtt reads them. Pure.
 
-A broker passes on whatever others publish, of any size and at any rate. This module takes all messages out of the
-bytes, so that the reader can handle the newest message first. The remaining packets are the broker's answers to this
-client, and paho-mqtt reads them.
+A broker passes on messages of any size and at any rate. This module takes the messages out of the bytes, so that the
+reader can handle the newest message first. The remaining packets are the broker's answers to this client, and paho-mqtt
+reads them.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class MqttWire:
         del self._bytes[:at]
 
     def _sort(self, start: int, body: int, end: int) -> None:
-        """Sort a complete packet. A message that needs no acknowledgement is kept here, and any other packet is left
-        for paho-mqtt."""
+        """Sort a complete packet. A message that needs no acknowledgement is kept here, unless its topic can't be read.
+        Any other packet is left for paho-mqtt."""
         first = self._bytes[start]
         if first & (KIND | QOS) != PUBLISH:
             self._rest += self._bytes[start:end]
@@ -72,7 +72,7 @@ class MqttWire:
         return bool(self._rest)
 
     def read(self, most: int) -> bytes:
-        """Return the next bytes for paho-mqtt, at most `most` of them."""
+        """Return at most `most` bytes for paho-mqtt."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]
         return taken
@@ -84,8 +84,8 @@ class MqttWire:
 
 
 def _head(data: bytearray, at: int) -> tuple[int, int] | None:
-    """Find the body of the packet that begins at `at`. Returns where the body begins and where it ends, or None if too
-    few bytes have arrived. Raises Malformed."""
+    """Return where the body of the packet at `at` begins and ends. None if too few bytes have arrived. Raises
+    Malformed."""
     length = 0
     for place in range(at + 1, min(at + LONGEST_HEAD, len(data))):
         length |= (data[place] & 0x7F) << (7 * (place - at - 1))

@@ -7,7 +7,8 @@ from failstop.guard.said import GUARD, path_in
 
 
 def check(look: Look) -> list[Finding]:
-    """Check which program drives through the guard port, and whether anything keeps it from moving the wheels."""
+    """Check which program has the guard port open, and whether a missing obstacle sensor keeps it from moving the
+    wheels."""
     clients = look.state.clients if look.state else ()
     found = [(path_in(client.sees), client) for client in clients if path_in(client.sees)]
     if not found:

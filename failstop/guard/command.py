@@ -98,7 +98,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
-    """Wait until the service runs, and return its settings, or None if SIGTERM or Ctrl-C ends the guard first."""
+    """Wait until the service runs, and return its settings. Returns None after SIGTERM or Ctrl-C."""
     said = ""
     while not ends.now:
         if service.look(time.monotonic_ns()):
@@ -111,10 +111,9 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The path of the port if --path is not given. If the setting guard.path is set, it is this path. Otherwise the
-    port is in the first of these folders that exists and that this user may write to: systemd's runtime folder for this
-    unit, the service's runtime folder, the user's own runtime folder. Raises FailstopError if there is no such
-    folder."""
+    """The path of the port if --path is not given: the setting guard.path, or else a file in systemd's runtime folder
+    for this unit. Without these, the port is in the service's or the user's own runtime folder, if this user may write
+    there. Raises FailstopError if there is no such folder."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):
@@ -161,9 +160,9 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 def _go_first() -> None:
     """Make Linux run the guard before ordinary programs. Raises OSError.
 
-    Linux first shares the processor among sessions (autogroup), so a nice value counts only among the processes of one
-    session. If the guard runs as a service, it is alone in its session, so this function also sets the nice value of
-    the session. In a terminal, the guard shares the session with other programs, so only its own nice value is set.
+    Linux first shares the processor among sessions (autogroup), so a nice value counts only within one session. A guard
+    that runs as a service is alone in its session, so the session gets the nice value too. In a terminal, the session
+    has other programs, so only the guard gets the nice value.
     """
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     if os.getsid(0) == os.getpid():
@@ -172,8 +171,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line, or drop it if it can't be printed at once, for example because the terminal is paused or nobody
-    reads the pipe. The guard must not wait, because the driver would have to wait too."""
+    """Print a line, or drop it if printing would have to wait, for example on a paused terminal. If the guard waited,
+    the driver would have to wait too."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(standard.folded(line), flush=True)

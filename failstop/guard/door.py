@@ -66,7 +66,7 @@ class Door:
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
-        """Find out what has happened since the previous call. This must be quick, because the driver's bytes are read
+        """Return what has happened since the previous call. This must be quick, because the driver's bytes are read
         only afterwards, and they may be a stop."""
         news = News()
         for pid, opener in self.seen.items():
@@ -90,8 +90,8 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """Count a close that inotify has just reported as the close of a dying program. Returns False if no dying
-        program has closes left to report."""
+        """Assign a close that inotify has just reported to a dying program. Returns False if no dying program has
+        closes left to report."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -99,9 +99,8 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
-        if two calls in a row have found no descriptor in it, because at the first call inotify may be about to report
-        the close. Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child still has it open. A program must have no
+        descriptor at two calls in a row, because inotify may report its close a little later. Raises OSError."""
         wanted, before, self._closed = identity(self._pty.name), self._closed, set()
         for pid in self.seen.keys() - self._dying.keys():
             with contextlib.suppress(PermissionError):  # nobody knows whether this program has closed it
@@ -110,9 +109,8 @@ class Door:
         return [self.seen[pid] for pid in self._closed & before]
 
     def recount(self, meanwhile: Callable[[], None]) -> None:
-        """Find out which programs have the pseudo-terminal open. If it is already open as many times as allowed, make
-        the kernel refuse more programs. `meanwhile`: called again and again during the search, which may take long (see
-        openers())."""
+        """Find out which programs have the pseudo-terminal open. Once the terminal is open as many times as allowed,
+        the kernel refuses more programs. `meanwhile`: called again and again during the search (see openers())."""
         found, hidden = openers(self._pty.name, self.seen, self._opened, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())

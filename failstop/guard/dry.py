@@ -61,8 +61,8 @@ class Nothing:
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
     def command(self, command: Command) -> str:
-        """Print a motion, unless the same motion was already printed. Returns a text if the motion is beyond the
-        limits, otherwise an empty text."""
+        """Print a motion, unless a motion with the same wheel speeds was printed already. Returns a text if the motion
+        is beyond the limits, otherwise an empty text."""
         self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
@@ -78,8 +78,8 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print `wrong`, at most once for each motion of the driver. Refusals and a driver's end are left out here,
-        because the guard itself prints them."""
+        """Print `wrong`, at most once for each motion of the driver. The guard itself prints refusals and a driver's
+        end, so they are left out here."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")

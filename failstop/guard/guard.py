@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
     class Board(Protocol):
-        """What a driver drives through: the service (service.py), or a stand-in during a dry run (dry.py)."""
+        """The receiver of a driver's commands: the service (service.py), or a stand-in during a dry run (dry.py)."""
 
         settings: Settings | None
         scale: Scale
@@ -138,8 +138,8 @@ class Guard:
             self._tell(line)
 
     def _look(self, now_ns: int) -> None:
-        """Check whether the service still runs, whether the link to the guard port still exists, and whether a program
-        has closed the port while a child of it still has the port open."""
+        """Notice a restarted service, a lost link, a hang-up, and a program that closed the port while its child has it
+        open. Raises HungUp."""
         self._board.look(now_ns)
         if self._board.runs != self._runs:
             self._runs = self._board.runs
@@ -209,8 +209,8 @@ class Guard:
         return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
-        """Answer the bytes that were written before the guard could see which program wrote them. A motion in these
-        bytes is not carried out."""
+        """Answer bytes that were written before the guard saw their writer. Motions in these bytes are not carried
+        out."""
         early, self._early = self._early, b""
         if self._talk and early:
             answers = self._talk.asked(early, monotonic_ns())
@@ -244,8 +244,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """If a program has the port open, begin a conversation with it, or continue the conversation `talk`. Otherwise
-        note that no driver is there."""
+        """Begin a conversation with the program that has the port open, or continue the conversation `talk`. Without
+        such a program, note that no driver is there."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
@@ -259,8 +259,8 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """End the conversation, because a program has closed the port or died. The conversation ends even if other
-        programs still have the port open, because nothing shows which of the programs wrote the bytes."""
+        """End the conversation after a program has closed the port or died. The conversation ends even if other
+        programs have the port open, because nothing shows which program wrote the bytes."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
@@ -286,14 +286,13 @@ class Guard:
             self._tell_hasty(talk)
 
     def _may_drive(self) -> bool:
-        """True if the driver's newest motion is not zero. Also True if too many programs have the port open, because
-        nobody can say which of them wrote the newest motion."""
+        """True if the driver's own newest motion is not zero. Also True if too many programs have the port open,
+        because nobody can say which program wrote the motion."""
         return self._talk is not None and (self._talk.holds or self._crowded)
 
     def _ending(self, *, held: bool) -> str:
-        """Return a text which says that a program has ended. `held`: True if the program's last motion was not zero.
-        The text does not say that the wheels turned, because motion may have been disabled, or the service may have
-        ignored the program's commands."""
+        """Return a text about a program's end. `held`: True if the program's own last motion was not zero. The text
+        does not say that the wheels turned, because the service may have ignored the motion."""
         seen = list(map(str, self._door.seen.values()))
         who = f"one of {' and '.join(seen)}" if len(seen) > 1 else self._who
         if held:
@@ -301,8 +300,8 @@ class Guard:
         return f"{who} has ended{' or died while too many programs had the port open' if self._crowded else ''}"
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """Report that the driver closed the port right after it wrote a motion. A script does this if it opens the port
-        for each command."""
+        """Report that the driver closed the port right after it wrote a motion. Scripts that open the port for each
+        command do this."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
             f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
@@ -324,8 +323,8 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """Read and answer the driver's bytes while the guard does something that takes long. If a call could not read
-        all bytes, the next calls read nothing, so that a driver that writes without end can't hold up the guard."""
+        """Read and answer the driver's bytes during a long task. If bytes are left unread, later calls read nothing, so
+        that a driver that writes without end can't hold up the guard."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 

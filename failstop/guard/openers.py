@@ -1,20 +1,20 @@
-"""Openers: finds out which programs have the pseudo-terminal open. It uses inotify and /proc. But /proc does not show
-every process, for example in a container.
+"""Openers: finds out which programs have the pseudo-terminal open, with inotify and /proc. In a container, for example,
+/proc does not show every process.
 
 The kernel merges equal inotify events that directly follow each other. So if two programs closed the terminal at the
 same moment, the two closes would look like one. To prevent this, the terminal's directory is watched too. Each open and
 each close then makes two events from two different watches, and two equal events never follow each other.
 
-inotify reports openings. An opening begins with an open(), and it ends when the last descriptor of the opening is
-closed. A dup() makes no new opening, and neither does a child that inherits a descriptor. So several descriptors, and
-even several processes, may share one opening.
+inotify reports openings. An opening begins with an open(), and it ends when its last descriptor is closed. A dup()
+makes no new opening, and neither does a child that inherits a descriptor. So several descriptors, and even several
+processes, may share one opening.
 
-The owner of an opening is the process that called open(). Linux does not record this process, so the guard must guess
-it if several processes share an opening. If one of these processes was the owner at the previous search, it stays the
-owner. Otherwise the oldest process is the owner, because a parent is older than its children.
+The owner of an opening is the process that called open(). Linux does not record the owner, so the guard must guess it
+if several processes share an opening. An owner at the previous search stays the owner. Otherwise the oldest process is
+the owner, because a parent is older than its children.
 
-The owners count as the drivers. Children that share an opening may come and go. If an owner dies, a child may keep the
-opening, and then inotify reports no close. So a pidfd also watches each owner.
+Only owners count as drivers. Their children may come and go. If an owner dies, a child may keep the opening, and then
+inotify reports no close. So a pidfd also watches each owner.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def openers(
     """Find the programs that have opened the terminal and still have it open, except the guard itself. Returns (the
     programs by pid, True if /proc may hide more of them).
 
-    `before` and `opened`: see owners(). `meanwhile`: called for each process, because among many processes the search
-    takes longer than a driver waits for an answer.
+    `before` and `opened`: see owners(). `meanwhile`: called for each process, because a driver can't wait for an answer
+    until the search ends.
     """
     wanted = identity(path)
     held: list[Held] = []
@@ -117,8 +117,8 @@ def openers(
 
 
 def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
-    """The descriptors with which a process has the terminal open. `wanted`: the terminal's identity(). Raises
-    PermissionError if this user may not see the process's descriptors."""
+    """The process's descriptors of the terminal. `wanted`: the terminal's identity(). Raises PermissionError if this
+    user may not see the descriptors."""
     found = []
     try:
         names = os.listdir(f"/proc/{pid}/fd")
@@ -136,12 +136,12 @@ def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
 def owners(
     held: Sequence[Held], before: Container[int], opened: int, same: Callable[[Held, Held], bool | None]
 ) -> dict[int, int]:
-    """The owners of the openings that the descriptors in `held` belong to, as {pid: number of openings}.
+    """Find the owner of each opening. Returns {pid: number of openings}.
 
-    `before`: the pids that the previous search found as owners. `same`: returns True if two descriptors share an
-    opening, False if they don't, and None if the kernel does not say. `opened`: how many openings inotify has counted.
-    A descriptor for which `same` returns None counts as a new opening only while fewer openings than `opened` have been
-    found."""
+    `held`: all descriptors of the terminal. `before`: the owners at the previous search. `opened`: how many openings
+    inotify has counted. `same`: returns True if two descriptors share an opening, False if they don't, and None if the
+    kernel does not say. After None, a descriptor counts as a new opening only until `opened` openings are found.
+    """
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
         answers = [same(each, other) for other in first]
@@ -162,8 +162,8 @@ def _began(pid: int) -> int:
 
 
 def _all_listed(pids: list[int]) -> bool:
-    """True if /proc lists every process. In a container, or with the mount option hidepid, it lists only some of
-    them."""
+    """True if /proc lists every process of the machine. In a container, or with the mount option hidepid, /proc lists
+    only some of them."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino == _MACHINE and 1 in pids
     except OSError:
@@ -171,8 +171,8 @@ def _all_listed(pids: list[int]) -> bool:
 
 
 def _may_be(pid: int, name: str, inode: int) -> bool:
-    """True if the descriptor `name` of a process may be open on a terminal with this inode number. This looks only at
-    /proc and not at the open file, because the file may be on a server that does not answer. Raises OSError."""
+    """True if a process's descriptor `name` may be open on a terminal with this inode number. This does not touch the
+    open file, because a file on a server that does not answer would block the guard. Raises OSError."""
     path = os.readlink(f"/proc/{pid}/fd/{name}")
     if path.startswith("/dev/") or not path.startswith("/"):
         return path.startswith("/dev/")
@@ -188,11 +188,11 @@ def identity(path: str) -> tuple[int, int, int]:
 
 
 def dying(pid: int) -> bool:
-    """True if a process is ending, or is gone. A process with a pending SIGKILL counts as ending. On a busy machine, it
-    may take tens of milliseconds until this process runs again and begins to end. Then the kernel frees its memory,
-    which takes long for a large process, and only after that it closes the files.
+    """True if a process is ending, or is gone. A pending SIGKILL counts as ending. On a busy machine, tens of
+    milliseconds may pass before the process begins to end. Then the kernel frees its memory, which takes long for a
+    large process, and only then closes its files.
 
-    If the main thread has ended, the process counts as ending only if all its other threads are ending too.
+    If the main thread has ended, all other threads must be ending too.
     """
     try:
         stat = _read(f"/proc/{pid}/stat")
@@ -202,8 +202,7 @@ def dying(pid: int) -> bool:
 
 
 def _others(pid: int) -> Iterator[bytes]:
-    """Yield the content of /proc/PID/task/TID/stat for each thread of a process except its main thread. Raises
-    OSError."""
+    """Yield /proc/PID/task/TID/stat for each thread of a process except its main thread. Raises OSError."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
             with contextlib.suppress(OSError):
@@ -211,15 +210,14 @@ def _others(pid: int) -> Iterator[bytes]:
 
 
 def is_ending(stat: bytes) -> bool:
-    """True if a thread is ending. `stat`: the content of the thread's stat file in /proc. If a signal ends a process
-    without a core dump, Linux at once turns the signal into a SIGKILL of each thread, and never withdraws the
-    SIGKILL."""
+    """True if a thread is ending. `stat`: the content of the thread's stat file in /proc. A fatal signal without a core
+    dump becomes a SIGKILL of each thread at once, and Linux never withdraws it."""
     numbers = _fields(stat)
     return bool(int(numbers[6]) & _EXITING or int(numbers[28]) & _KILLED)
 
 
 def _fields(stat: bytes) -> list[bytes]:
-    """The fields of a stat file in /proc, without the first two, which are the pid and the name."""
+    """The fields of a stat file in /proc, without the pid and the name."""
     return stat.rpartition(b") ")[2].split()
 
 
@@ -229,7 +227,7 @@ def _read(path: str) -> bytes:
 
 
 def program(pid: int) -> str:
-    """The name of the program that a process runs, for people. For a script, it is the name of the script's file."""
+    """The name of a process's program, for people. For a script, it is the name of the script's file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
             words = os.fsdecode(file.read(4096)).split("\0")

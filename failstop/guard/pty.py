@@ -59,9 +59,9 @@ class Pty:
             raise
 
     def _locked(self) -> int:
-        """Lock the file `path`.lock next to the link. Without the lock, two guards with the same path would take the
-        link from each other. The lock file is never removed, because otherwise two guards could each lock a different
-        file with the same name. Raises FailstopError."""
+        """Lock the file `path`.lock, and return its descriptor. The lock keeps two guards from taking the link from
+        each other. The lock file is never removed, because two guards could then each lock a different file with the
+        same name. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -85,8 +85,8 @@ class Pty:
         self._link()
 
     def _let_in(self) -> None:
-        """Allow the guard's own user, and the group of the service's clients, to open the pseudo-terminal. If that
-        group does not exist, or if this user may not use it, allow only the guard's own user."""
+        """Let the guard's own user, and the group of the service's clients, open the pseudo-terminal. Without the
+        group, or without the right to use it, only the guard's own user may."""
         import grp  # once
 
         with contextlib.suppress(KeyError, PermissionError):
@@ -96,8 +96,8 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Make the link. If a link already exists at the path, it is replaced, wherever it leads, because an earlier
-        guard may have left it. Raises FailstopError if the path exists and is not a link."""
+        """Make the link. A link that already exists at the path is replaced, because an earlier guard may have left it.
+        Raises FailstopError, also if the path exists and is not a link."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):
@@ -112,8 +112,8 @@ class Pty:
             raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
-        """True if the link still leads to this pseudo-terminal. The link may be gone after the service has ended,
-        because the service may remove its runtime directory, with the link in it."""
+        """True if the link still leads to this pseudo-terminal. A service that ends may remove its runtime directory
+        with the link in it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
@@ -138,8 +138,9 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Write one answer or one frame to the driver. If the terminal accepts only the beginning of `data`, the next
-        call writes the rest first. Returns False if `data` is lost, because the driver does not read."""
+        """Write one answer or one frame to the driver. Bytes that the terminal does not accept are written first at the
+        next call. While such bytes can't be written, new `data` is dropped. Returns False if no byte of `data` was
+        accepted."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
         if self._left:
@@ -156,8 +157,8 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Set the exclusive mode of the terminal if `on`, so that no more programs can open it. Otherwise clear the
-        mode. Root can open the terminal in any case. Raises HungUp."""
+        """Keep more programs from opening the terminal if `on`, else let them in. Root can always open it. Raises
+        HungUp."""
         with _alive():
             fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
 
@@ -167,8 +168,8 @@ class Pty:
             termios.tcgetattr(self.slave)
 
     def clean(self) -> bytes:
-        """Reset the terminal after a driver has gone, so that the next driver finds it clean. Returns the bytes that
-        the gone driver wrote and the guard had not read yet. Raises HungUp."""
+        """Reset the terminal after a driver has gone, for the next driver. Returns the gone driver's newest unread
+        bytes, at most MOST_READ. Raises HungUp."""
         self._left = b""
         with _alive():
             # If a driver has stopped the output (tcflow, or XOFF), what the next driver writes would not arrive here.
@@ -185,8 +186,8 @@ class Pty:
         return found
 
     def hang_up(self) -> None:
-        """Close the pseudo-terminal and open a new one. A program that still has the old one open can't write to it any
-        more, and reads the end of the file. Raises FailstopError."""
+        """Close the pseudo-terminal and open a new one. A program that still has the old one open reads the end of the
+        file, and can't write any more. Raises FailstopError."""
         self._close()
         self._open()
 
@@ -208,7 +209,7 @@ class Pty:
 
 @contextlib.contextmanager
 def _alive() -> Iterator[None]:
-    """Raise HungUp if an error inside the `with` block means that somebody has hung up the terminal."""
+    """Raise HungUp if an error inside the `with` block shows that somebody has hung up the terminal."""
     try:
         yield
     except (OSError, termios.error) as error:

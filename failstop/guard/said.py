@@ -1,5 +1,5 @@
 """Said: the words that the guard uses in its reports about itself. The service's screens show these reports, and
-`failstop doctor` finds the guard among the clients by these words."""
+`failstop doctor` recognizes the guard by these words."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:
-    """Return the path of the guard port from `sees`, a client's report about itself. Empty if the client is not a
-    guard."""
+    """Return the path of the guard port from a client's report `sees`. Empty if the client is not a guard."""
     for words in (DRIVES, WAITS):
         if sees.startswith(words):
             return sees.removeprefix(words)

@@ -28,8 +28,7 @@ AXES = (
 
 
 class Scale:
-    """Converts wheel speeds to a velocity, using the wheels in the settings. This reverses the service's conversion
-    from a velocity to wheel speeds."""
+    """Converts wheel speeds to a velocity. This reverses the service's conversion, with the wheels in the settings."""
 
     def __init__(self, settings: Settings, per_rps: float, step_rps: float, *, assumed: bool = False) -> None:
         """`per_rps`: how many of the board's speed units make one wheel turn per second. `step_rps`: the smallest
@@ -51,8 +50,8 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """If the velocity is beyond the settings' limits, return a text with the commanded speed and the limit.
-        Otherwise return an empty text."""
+        """Return a text with the commanded speed and the limit if the velocity is beyond the settings' limits.
+        Otherwise empty."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]

@@ -1,8 +1,8 @@
 """Service: the guard as a client of the service. The guard occupies a client slot under the driver's name, and reads
-what the board has sent.
+the bytes that the board has sent.
 
-If the service ends, the guard waits until the service is started again. The driver does not notice this, but until then
-the driver's commands move nothing.
+If the service ends, the guard waits until the service is started again. The driver does not notice, but its commands
+move nothing until then.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class Service:
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """True if the service is running. If it is not, look for it, at most once every AGAIN_NS."""
+        """Look for a service that is not running, at most once every AGAIN_NS, and get a client slot. Returns True if
+        the service is running."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:
@@ -90,16 +91,16 @@ class Service:
                 self.note = str(error)
 
     def join(self, who: str, pid: int | None) -> None:
-        """Send all further commands in the name of the program `who`, whose pid is `pid`. `pid` is None if the guard
-        itself is the client, or if the driver's pid is not known."""
+        """Send all further commands in the name of the program `who`. `pid`: its pid, or None for the guard itself and
+        for a driver whose pid is not known."""
         self.leave(in_order=True)
         self._who = who, pid
         if self._reader:
             self._connect()
 
     def leave(self, *, in_order: bool) -> None:
-        """Stop sending commands in the name of the driver. `in_order`: False if the driver ended or died while it was
-        driving; the service then does what the setting gate.driver_death says."""
+        """Stop sending commands in the driver's name. `in_order`: False if the driver ended or died while it was
+        driving. The service then follows the setting gate.driver_death."""
         self._who = None
         self._leave(in_order=in_order)
 
@@ -136,7 +137,7 @@ class Service:
                 self._client.write("said", sees, wrong)
 
     def block(self) -> Block | None:
-        """Why the wheels may not turn, or None if they may."""
+        """Why the wheels may not turn, or None if they may. Without a service, the answer is Block.DISABLED."""
         if self._reader is None:
             return Block.DISABLED
         decided, cause, *_ = self._reader.decided()
@@ -144,7 +145,7 @@ class Service:
         return getattr(answer, "block", None)
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """What the board has sent since the previous call, as (the time when the bytes came, the bytes)."""
+        """The board's bytes since the previous call, as (when they came in CLOCK_MONOTONIC ns, the bytes)."""
         found = []
         for ring in self._received if self._reader else ():
             while entry := ring.next():

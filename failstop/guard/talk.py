@@ -1,8 +1,7 @@
 """Talk: the conversation with one driver, from its first byte to its end. Pure: every time is an argument.
 
-For each kind of board, a DriverLanguage decodes the driver's bytes (failstop/board/driver.py). This file decides what
-follows from them. It decides which motion counts and for how long, which answers are still useful, and whether a driver
-stopped the wheels before it ended.
+A DriverLanguage decodes the driver's bytes (failstop/board/driver.py). This file decides which motion counts and for
+how long, which answers are still useful, and whether a driver stopped the wheels before it ended.
 
 The guard can't see when a driver wrote a motion. It counts the motion's age from the last moment at which no bytes from
 the driver were waiting. So an old motion never looks new, even if the guard was held up or the driver writes faster
@@ -99,8 +98,7 @@ class Talk:
         return self._speeds is not None and any(self._speeds)
 
     def silent_ns(self, now_ns: int) -> int:
-        """How long ago the driver's newest motion expired, ns. Returns 0 if the motion still counts, or if it is
-        zero."""
+        """How long ago the driver's newest motion expired, ns. 0 if the motion still counts or is zero."""
         return max(0, now_ns - self._written_ns - self.timeout_ns) if self.drives else 0
 
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
@@ -128,16 +126,16 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """Return two times in ns: (how long the driver may have waited for its newest late answer, how long this kind
-        of driver waits for an answer). Returns None if the driver got no late answer within the last LATE_FOR_NS."""
+        """Return (how long the driver may have waited for its newest late answer, how long this kind of driver waits
+        for an answer), in ns. None if no answer was late within the last LATE_FOR_NS."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
 
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
-        """Handle bytes that may be from this driver or from a driver that has gone. Returns the answers to the bytes.
-        If the bytes contain a motion other than zero, returns None. The caller must then begin a new conversation, so
-        that none of the bytes counts."""
+        """Handle bytes from this driver or from a driver that has gone. Returns the answers. Returns None if the bytes
+        contain a motion other than zero. The caller must then begin a new conversation, so that none of the bytes
+        counts."""
         rows = self._language.wrote(chunk, now_ns)
         if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):
             return None
@@ -158,24 +156,22 @@ class Talk:
         self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
 
     def refuse(self, what: str, why: str) -> None:
-        """Report that a request of the driver is refused, but only once for the same request. `what`: the request.
-        `why`: what failstop did instead."""
+        """Add a refusal to `refusals`, once for each `what` and for at most MOST_REFUSALS of them. `what`: the driver's
+        request. `why`: what failstop did instead."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
             self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Handle bytes from the board, and return the frames for the driver. The caller must write each frame as a
-        whole."""
+        """Handle bytes from the board. Returns the frames for the driver. The caller must write each frame whole."""
         return self._language.heard(chunk, now_ns)
 
     def command(self, now_ns: int) -> Command | None:
-        """The command that must be sent to the service now. None if the service needs no new command.
+        """The command to send to the service now. None if the service needs no new command.
 
-        The service lets each command count only for its own timeout, which may be shorter than the driver's timeout. So
-        the guard sends the command again and again while the driver's motion counts. The last of these commands gets a
-        `t_ns` with which it expires exactly when the motion does. So the wheels stop in time even if the guard
-        hangs."""
+        The service lets a command count only for its own timeout, which may be shorter than the driver's. So the guard
+        repeats the command while the driver's motion counts. The last command's `t_ns` makes the command expire exactly
+        when the motion does. So the wheels stop in time even if the guard hangs."""
         if self._speeds is None:
             return None
         last_ns, sent_ns = self._last_ns, self._sent_ns
@@ -190,12 +186,12 @@ class Talk:
 
     @property
     def _last_ns(self) -> int:
-        """The `t_ns` of the last command for the current motion, which makes it expire together with the motion."""
+        """The `t_ns` of the motion's last command, which expires together with the motion."""
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """The time at which command() or frame() will next return something if the driver writes nothing more. None if
-        both will return nothing."""
+        """When command() or frame() will next return something if the driver writes nothing more. None if both will
+        return nothing."""
         motion_ns = self._motion_due_ns()
         if not self._frames:
             return motion_ns
@@ -210,16 +206,15 @@ class Talk:
         return min(self._sent_ns + self._renew_ns, self._last_ns) if self._sent_ns < self._last_ns else None
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
-        """End the conversation, because the driver has gone. `unread`: bytes from the driver that were not read yet.
-        Returns True if the driver ended or died while it was driving. No motion in `unread` is carried out. But it
-        counts as the driver's newest motion: if it is zero, the driver had stopped the wheels itself."""
+        """End the conversation with a driver that has gone. `unread`: bytes from the driver that were not read yet.
+        Returns True if the driver's own newest motion is not zero. A motion in `unread` counts for this, but is not
+        carried out."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
     @property
     def holds(self) -> bool:
-        """True if the driver's own newest motion is not zero. This stays true even if failstop has stopped the
-        wheels."""
+        """True if the driver's own newest motion is not zero, even if failstop has stopped the wheels."""
         return not self._lets_go
 
     def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:

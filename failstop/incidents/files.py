@@ -2,8 +2,8 @@
 not at all, and never replaces another. A damaged file is reported when it is read.
 
 A file's name is NUMBER-DATE-TIME-CAUSE.incident. A saver takes the next number of its folder before it does anything
-else. So the numbers show the order of the stops even if the wall clock is wrong. Older versions of failstop wrote no
-numbers. Their files count as older than all files with a number.
+else. So the numbers show the order of the stops even if the wall clock is wrong. Files without a number count as older
+than all files with a number.
 
     "failstop incident\\n" | format u16, 0 u16 | length u32, crc32 u32 of the head | the same of the body | head | body
 
@@ -58,8 +58,8 @@ class IncidentError(FailstopError):
 
 @contextlib.contextmanager
 def as_written(path: str) -> Iterator[None]:
-    """Use this context around code that reads the values in a file. If they are not as failstop writes them, it raises
-    IncidentError with the file's path."""
+    """Context manager for code that reads values from a file. Unexpected values raise IncidentError with the file's
+    path."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, OSError) as error:
@@ -82,8 +82,8 @@ class Draft:
         self._folder, self._number, self._fd = folder, number, fd
 
     def write(self, name: str, data: bytes) -> str:
-        """Save the data under the draft's number and this name. Returns the file's path. Raises OSError, and then the
-        draft is removed."""
+        """Save the data under the draft's number and this name. Returns the file's path. If this fails, removes the
+        draft and raises OSError."""
         path = os.path.join(self._folder, f"{self._number:0{DIGITS}}-{name}{SUFFIX}")
         try:
             durable.write_all(self._fd, data)
@@ -125,8 +125,8 @@ def begin(folder: str) -> Draft:
 
 
 def write(folder: str, name: str, data: bytes) -> str:
-    """Save data in a folder, under the next number and this name. Returns the file's path. The file is complete and on
-    the disk, or does not exist. Raises OSError."""
+    """Save data in a folder under the next number and this name, completely or not at all. Returns the file's path.
+    Raises OSError."""
     return begin(folder).write(name, data)
 
 
@@ -135,8 +135,8 @@ def _draft(folder: str, number: int) -> str:
 
 
 def _locked(fd: int, path: str) -> bool:
-    """Lock a draft. Returns False if another process had locked it first, because that process then removes it. On a
-    file system without locks it returns True, because nobody can remove the draft there."""
+    """Lock a new draft. Returns False if another process has locked or removed the draft. Returns True on a file system
+    without locks, where no other process removes drafts."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return os.path.samestat(os.fstat(fd), os.lstat(path))
@@ -163,8 +163,7 @@ def _clear(folder: str) -> None:
 
 
 def number_of(name: str) -> int:
-    """The number in the name of an incident or its file. 0 if an older version of failstop has saved it without a
-    number."""
+    """The number in the name of an incident or its file. 0 if the name has no number."""
     first, _, rest = name.partition("-")
     date, _, rest = rest.partition("-")
     return int(first) if first.isdecimal() and first.isascii() and len(date) == 8 and date.isdecimal() and rest else 0
@@ -228,9 +227,8 @@ def _part(path: str, what: str, data: bytes, crc: int) -> dict[str, Any]:
 
 
 def places(name: str, environ: Mapping[str, str]) -> list[str]:
-    """The state directories in which a service of this name may keep its files, whether they exist or not. One is for a
-    service that was started from here. The other is for a service of the system, which gets its state directory from
-    systemd."""
+    """The state directories in which a service of this name may keep its files, for a service started from here and for
+    a service of the system. They may not exist."""
     elsewhere = {key: value for key, value in environ.items() if key != "STATE_DIRECTORY"}
     found = [state_directory(name, given) for given in (environ, elsewhere)]
     return list(dict.fromkeys([*found, os.path.join(root.at(SYSTEM_BASE), name)]))
@@ -247,14 +245,13 @@ def identity(path: str) -> str:
 
 
 def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Read the heads of a service's incidents in these folders. Returns the heads, the oldest first, and a problem in
-    words for each file that can't be read.
+    """Read the heads of a service's incidents in these folders. Returns the heads, the oldest first, and a message for
+    each file or folder that can't be read.
 
     Each head gets three more keys. `id` and `path` identify the file. `clock_jump_s` is how far the wall clock is known
-    to have jumped since the incident before it in its folder, in s, negative if it jumped back.
+    to have jumped since the previous incident in the folder, in s. It is negative if the clock jumped back.
 
-    Within a folder, the numbers decide the order. Between folders the time decides, because their numbers are not
-    related.
+    Within a folder, the numbers decide the order. Between folders, the time does.
     """
     found: list[list[dict[str, Any]]] = []
     problems = []
@@ -281,7 +278,7 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
 
 
 def _jump(before: dict[str, Any], head: dict[str, Any]) -> float:
-    """How far the wall clock is known to have jumped between two incidents, in s. 0 if no jump can be seen."""
+    """How far the wall clock is known to have jumped between two incidents, in s. 0 if no jump is known."""
     was_ns, is_ns = (each.get("unix_minus_monotonic_ns") for each in (before, head))
     apart_s = float(head["t"]) - float(before["t"])
     if before.get("run") == head.get("run") and isinstance(was_ns, int) and isinstance(is_ns, int):
@@ -297,9 +294,8 @@ def jumped(head: dict[str, Any]) -> str:
 
 
 def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
-    """Remove the oldest incidents of a service, so that at most `keep` incidents and `most_bytes` of data are left. The
-    newest incident is always kept. The folder may also contain incidents of other services and other files, which are
-    not touched."""
+    """Remove a service's oldest incidents until at most `keep` incidents and `most_bytes` bytes are left. The newest
+    incident, other services' incidents and other files always stay."""
     total = 0
     for index, path in enumerate(head["path"] for head in reversed(heads(name, [folder])[0])):
         with contextlib.suppress(OSError):
@@ -309,8 +305,8 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
-    """The path of the incident that a person means by `wanted`. It may be a path, the word `last`, an id, a number, the
-    beginning of an id with or without its number, or a date or time as the screens show it. Raises IncidentError."""
+    """The path of the incident that a person means by `wanted`: a path, `last`, an id, a number, the beginning of an id
+    with or without its number, or a date or time as the screens show it. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
     there = folders(name, environ)
@@ -334,9 +330,8 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
 
 
 def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The heads of the incidents that a person may mean. First this looks for the number. If no incident has it, it
-    looks for ids that begin with `wanted`, with or without their numbers. If there are none, it looks for dates and
-    times that begin with it."""
+    """The heads of the incidents that a person may mean. `wanted` is tried as a number, then as the beginning of an id
+    with or without its number, then as the beginning of a date or time. The first match counts."""
     if wanted.isdecimal() and (numbered := [head for head in found if number_of(head["id"]) == int(wanted) > 0]):
         return numbered
     ids = ((head, head["id"]) for head in found)
@@ -347,15 +342,15 @@ def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _shown_at(head: dict[str, Any], wanted: str) -> bool:
-    """True if the date and time of an incident, or only its time of day, begins like this on the screens."""
+    """True if an incident's date and time begin with `wanted` on the screens. With a colon, `wanted` may also be the
+    beginning of the time of day."""
     date_and_time = words.clock(head["t"])
     with_time = ":" in wanted and date_and_time.partition(" ")[2].startswith(wanted)
     return with_time or date_and_time.startswith(wanted)
 
 
 def nothing(name: str, environ: Mapping[str, str]) -> str:
-    """A message for people if no incident was found. If something keeps incidents from being saved, the message names
-    it."""
+    """The message for people if no incident was found. It says so if the disk has no room for incidents."""
     where = places(name, environ)
     reasons = [why for place in where if os.path.isdir(place) and (why := durable.no_room(place))]
     reasons = list(dict.fromkeys(reasons)) or [why for why in [durable.no_room(where[0])] if why]

@@ -78,8 +78,8 @@ HEARERS = (layout.TELEMETRY, layout.PORT_OWNER)
 
 
 class WriteSort:
-    """What was written to the port. MOTION is a motor frame that moves a wheel, ZERO a motor frame with only zeros, and
-    ARM a frame for the arm's servos. REST are bytes that the kernel had not taken in the write before."""
+    """The kinds of writes to the port. MOTION: a motor frame that moves a wheel. ZERO: a motor frame with only zeros.
+    ARM: a frame for the arm's servos. REST: the rest of a write that the kernel first took only in part."""
 
     MOTION, ZERO, ARM, PING, OTHER, STOP_BURST, REST = "motion", "zero", "arm", "ping", "other", "stop burst", "rest"
 
@@ -155,8 +155,7 @@ class Incident:
         """(time, bytes) of everything that the board sent in the last seconds. Usually the telemetry process recorded
         it. While telemetry was not running, the port owner did."""
         self.received_from_ns = [at_ns for process in HEARERS if (at_ns := self._first_kept_ns(process, "received"))]
-        """For each ring that has lost its oldest entries: the time of the oldest bytes that it still has. The file does
-        not have what the board sent before that."""
+        """For each ring that has lost its oldest entries: the time of the oldest bytes that are left."""
         noticed = [
             (cause_ns, segment, causes.read(cause))
             for segment in (layout.PORT_OWNER, layout.GATE)
@@ -197,7 +196,7 @@ class Incident:
         return found
 
     def _first_kept_ns(self, segment: str, name: str) -> int:
-        """The time of the oldest entry of a ring, if older entries were overwritten. 0 if none were."""
+        """The time of a ring's oldest entry if older entries were overwritten. Otherwise 0."""
         kept = self._segments.get(segment, {}).get("rings", {}).get(name, [])
         return int(kept[0][1]) if kept and kept[0][0] > 1 else 0
 
@@ -208,7 +207,7 @@ class Incident:
 
     @property
     def left(self) -> bool:
-        """True if the run ended unexpectedly, and the next start found this incident in its memory."""
+        """True if this incident was saved from the memory of a run that ended unexpectedly."""
         return bool(self.head["kind"] == "left")
 
     def check_layout(self) -> None:
@@ -238,8 +237,8 @@ class Incident:
         return PROCESS_BY_NAME[process].deadline_ns
 
     def silences(self) -> list[tuple[str, int, int]]:
-        """(process, time of its last beat, time when it was last seen silent) for each silence that was too long. This
-        is what the supervisor saw. It noticed its own silences only afterwards."""
+        """(process, time of its last beat, time when it was last seen silent) for each silence that was too long, as
+        the supervisor saw it. The supervisor notices its own silences only afterwards."""
         found = []
         for index, process in enumerate(layout.PROCESS_NAMES):
             allowed_us = self.allowed_ns(process) / 1000
@@ -254,8 +253,8 @@ class Incident:
         return [event.ns for event in self.events if event.kind == "died" and event.fields.get("process") == process]
 
     def beat_spans(self, process: str) -> list[tuple[int, int]]:
-        """(from when, until when) a process was beating, from the beginning of the file to its last beat. Each death
-        leaves a gap, from the last beat before it until the process was last seen silent before it beat again."""
+        """(begin, end) of each period in which a process was beating. Each death leaves a gap, from the process's last
+        beat to the last time when it was seen silent."""
         index, (begin_ns, end_ns) = layout.PROCESS_NAMES.index(process), self.span_ns
         last_ns = max(begin_ns, min(end_ns, self.words(process)["beat_ns"]))
         silent = []
@@ -272,8 +271,8 @@ class Incident:
         return [(since_ns, until_ns) for since_ns, until_ns in (*found, (since_ns, last_ns)) if since_ns < until_ns]
 
     def gate_spans(self) -> list[tuple[str, int, int]]:
-        """(decision, begin, end) for all times, without gaps. While the gate missed its ticks or was dead, the decision
-        is SILENT."""
+        """(decision, begin, end) of each period from the first tick to the end of the file, without gaps. The decision
+        is SILENT while the gate missed its ticks or was dead."""
         allowed, died = self.allowed_ns(layout.GATE), self.deaths(layout.GATE)
         parts: list[tuple[str, int, int]] = []
         for tick, end_ns in zip(self.ticks, [*(tick.ns for tick in self.ticks[1:]), self.span_ns[1]], strict=False):
@@ -284,15 +283,13 @@ class Incident:
 
     @cached_property
     def wheels_gap_ns(self) -> int:
-        """The longest usual time between two reports of the wheels, ns. If two reports are further apart, reports are
-        missing between them."""
+        """The longest usual time between two reports of the wheels, ns. After a longer gap, reports are missing."""
         apart = sorted(later - earlier for (earlier, _), (later, _) in pairwise(self.measured))
         return max(QUIET_NS, round(USUAL_GAPS * apart[len(apart) // 2])) if apart else QUIET_NS
 
     def rolled(self) -> list[tuple[bool, int, int, float, int]]:
-        """(True if the wheels turn, first time, last time, fastest speed in turns per second, number of reports) for
-        each period in which the wheels turned or were still, as the board reported it. A gap in the reports ends a
-        period, because nobody knows what the wheels did meanwhile."""
+        """(True if the wheels turn, begin, end, fastest speed in turns per second, number of reports) for each period
+        in which the board reported turning or still wheels. A gap in the reports ends a period."""
         found: list[tuple[bool, int, int, float, int]] = []
         for ns, speeds in self.measured:
             fastest = max(map(abs, speeds), default=0.0)
@@ -305,8 +302,8 @@ class Incident:
         return found
 
     def ages(self) -> dict[str, float | None]:
-        """How old the newest reading of each kind was at the cause, in s. The kinds have the names of State.ages, and
-        the wheels are `wheels_s`. None if the file has no reading from before the cause."""
+        """The age of the newest reading of each kind at the cause, s. The keys are `wheels_s` and those of State.ages
+        except `odometry_s`. A value is None if the file has no reading from before the cause."""
         readings = {
             "board_s": [ns for ns, _ in self.received],
             "wheels_s": [ns for ns, _ in self.measured],
@@ -318,8 +315,8 @@ class Incident:
         return {name: round((self.cause_ns - max(times)) / 1e9, 3) if times else None for name, times in newest.items()}
 
     def _board(self) -> Board | None:
-        """The board that the settings name. None for a user's own board, because reading a file must not run the code
-        of such a board."""
+        """The board that the settings name. None for a user's own board, because reading a file must not run a user's
+        code."""
         kind = str(self.settings.get("board.kind", BY_KEY["board.kind"].default))
         if kind not in BOARDS:
             return None

@@ -18,7 +18,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     """Explain why the wheels are stopped, from the memory of a run that did not end cleanly. Returns the answer and the
     run's events. The memory exists until the service or the computer is started again.
 
-    Returns None if the service is running, if the memory belongs to another user, or if there is none.
+    Returns None if the service is running, or if no such memory can be read, for example because another user owns it.
     """
     dead = segments.dead_runs(name)
     fds = segments.open_all(dead[-1]) if dead else {}
@@ -54,7 +54,8 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
 
 
 def refusal(name: str, error: NoService) -> NoService:
-    """A more helpful error if no service is running. If its last run died, the error says why."""
+    """Add help to an error about a service that is not running: why its last run died, or how to start its unit.
+    Returns `error` itself if neither is known."""
     if found := left(name):
         return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
     if host.unit(name):

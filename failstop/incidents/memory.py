@@ -53,8 +53,8 @@ def entries(name: str, record_name: str, incarnation: int, data: bytes) -> list[
 
 
 def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
-    """Decode a copy of a segment into the form in which it is saved. It has the words by name, each latest record as
-    [seq, t_ns, payload], and each ring as a list of such entries."""
+    """Decode a copy of a segment into the form in which it is saved: words by name, each latest record as [seq, t_ns,
+    payload], and each ring as a list of such entries."""
     spec = layout.SEGMENT_BY_NAME[name]
     found: dict[str, dict[str, Any]] = {"words": {}, "latest": {}, "rings": {}}
     for record in spec.records.values():
@@ -84,8 +84,8 @@ def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:
 
 
 def left_cause(segments: Segments) -> tuple[int, int, Cause]:
-    """Why a run ended unexpectedly. Returns (cause_ns, epoch, cause). If the port owner has noticed a cause that the
-    supervisor did not handle any more, it is this cause. Otherwise the cause follows from the last signs of life."""
+    """Why a run ended unexpectedly, as (cause_ns, epoch, cause). A cause that the port owner noticed and the supervisor
+    did not handle comes first. Otherwise the last signs of life decide."""
     supervisor = segments[layout.SUPERVISOR]["words"]
     beat_ns, raised = supervisor["beat_ns"], supervisor["epoch"]
     owed = []
@@ -113,8 +113,8 @@ def known_better(segments: Segments, latched: Cause) -> Cause:
 
 
 def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
-    """Who wrote the stop for this cause, from the rings: a map with `written_by` and `written_us`. Empty if no stop was
-    written."""
+    """Who wrote the first complete stop burst since the cause, the port owner or the stopper: `written_by`, and
+    `written_us` after the cause. Empty if neither wrote one."""
     written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
@@ -127,11 +127,11 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
 
 
 def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
-    """What the supervisor has recorded about the stop whose cause was noticed at `cause_ns`. This is a map with
-    PROOF_WORDS, and with `wheels`, which is still, unstill or unknown. None if nothing was recorded about it.
+    """The supervisor's record of the stop whose cause was noticed at `cause_ns`: a map with PROOF_WORDS and `wheels`
+    (still, unstill or unknown). None if nothing was recorded.
 
-    The supervisor's record of the last stop (supervisor/proof.py) may describe a later stop by now. But its events
-    `stop` and `stop_outcome` name the stop that they belong to.
+    The supervisor's record of the last stop (supervisor/proof.py) may be about a later stop. Its events `stop` and
+    `stop_outcome` name their stop.
     """
     supervisor = segments[layout.SUPERVISOR]
     found: dict[str, Any] = {}
@@ -160,8 +160,8 @@ def as_map(payload: bytes) -> dict[str, Any]:
 
 
 def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
-    """The three levels of proof in words, from the head of an incident. Each is (text, True if it is proven). The
-    second value is None if nobody knows, for example if the wheels were not seen moving before the stop."""
+    """The three levels of proof from an incident's head, each as (text, True if proven). The second value is None if
+    this is not known, for example if the wheels were not seen moving before the stop."""
     stop: dict[str, Any] = head["stop"] or {}
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
     found: list[tuple[str, bool | None]] = [

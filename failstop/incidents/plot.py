@@ -144,8 +144,7 @@ def _at(incident: Incident, entries: Iterable[tuple[Any, ...]]) -> list[float]:
 
 
 def broken(at_ms: list[float], values: Any, gap_ms: float = BREAK_MS) -> tuple[Any, Any]:
-    """A curve that is interrupted (by NaN) wherever two neighbouring points are further apart than `gap_ms`. Returns
-    (times, values)."""
+    """Break a curve with NaN wherever two neighbouring points are more than `gap_ms` apart. Returns (times, values)."""
     times, found = np.array(at_ms), np.array(values, dtype=float)
     gaps = np.nonzero(np.diff(times) > gap_ms)[0] + 1
     return np.insert(times, gaps, times[gaps - 1]), np.insert(found, gaps, np.nan)
@@ -168,9 +167,9 @@ def _velocity(axes: Axes, incident: Incident) -> None:
 
 
 def _wheels(axes: Axes, incident: Incident) -> None:
-    """Draw the wheel speeds that were written to the board. They differ from the gate's decisions if the port owner
-    refused some. Two wheels of one side often turn the same way, so one line is drawn wide and pale behind the
-    other."""
+    """Draw the wheel speeds that were written to the board and, if known, the reported ones. The written speeds differ
+    from the gate's decisions if the port owner refused a frame. Wheels of one side often turn the same way, so every
+    other line is wide and pale."""
     frames = [(write.ns, write.speeds_rps) for write in incident.writes if write.speeds_rps]
     for index, name in enumerate(incident.wheels):
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
@@ -189,14 +188,14 @@ def _wheels(axes: Axes, incident: Incident) -> None:
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
-    """Draw where each joint was sent. A servo gets there in about 40 ms, and stands still after a stop burst."""
+    """Draw where each joint was sent. A servo gets there in about 40 ms, and stops at a stop burst."""
     for servo, sent in sorted(incident.joints().items()):
         axes.plot(*broken(_at(incident, sent), [pulses for _, pulses in sent]), label=incident.joint(servo))
 
 
 def _vibration(axes: Axes, incident: Incident) -> None:
-    """Draw the vibration, by which telemetry judges whether the wheels are still: the larger standard deviation of the
-    gyro's x and y over the last 0.5 s. There is no value if this window has too few samples."""
+    """Draw the larger standard deviation of the gyro's x and y over the last 0.5 s. Telemetry uses it to judge whether
+    the wheels are still. The curve has a gap where a window has too few samples."""
     times = np.array([sample.t_ns for sample in incident.imu], dtype=np.int64)
     rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float)
     firsts = np.searchsorted(times, times - WINDOW_NS, side="right")

@@ -45,8 +45,8 @@ MOST_SAID = 500
 
 
 def main(words: dict[str, str]) -> int:
-    """Save one incident. The outcome is written to the result pipe: which incident was saved, an empty map if a dead
-    run has nothing worth saving, or a map with the error as `wrong`. Returns the exit code.
+    """Save one incident, and return the exit code. Writes the map from save() to the result pipe, or a map with the
+    error as `wrong`.
 
     `words` has these keys:
 
@@ -74,8 +74,8 @@ def main(words: dict[str, str]) -> int:
 
 
 def save(words: dict[str, str]) -> dict[str, Any]:
-    """Save one incident. Returns its id, the time of its cause (Unix time, s), the cause's text, and which run it
-    belongs to."""
+    """Save one incident. Returns its `id`, the time of its cause `at` (Unix time, s), its `reason` and its `run` (this
+    or before). Returns an empty map if a dead run was never ready. Raises OSError, AttachError, IncidentError."""
     name, live = words["name"], "cause_ns" in words
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
     if not live and memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state") == BEAT_STARTING:
@@ -107,13 +107,14 @@ def save(words: dict[str, str]) -> dict[str, Any]:
 
 
 def _wait(words: dict[str, str], until_ns: int) -> bool:
-    """Wait until this time. Returns True if the supervisor ends before."""
+    """Wait until this time. Returns True at once if the copy must be made now, because the pipe `hurry` is closed."""
     left_s = (until_ns - time.monotonic_ns()) * 1e-9
     return left_s > 0 and bool(select.select((int(words["hurry"]),), (), (), left_s)[0])
 
 
 def _wait_for_port(words: dict[str, str], fd: int) -> None:
-    """If the port is lost, wait until it is back. Then wait as long as after any other stop."""
+    """If the port is lost, wait at most until RETURN_NS after the cause for its return. Once the port is back, wait as
+    long as after any other stop."""
     cause_ns, lost = int(words["cause_ns"]), False
     while _is_lost(words["name"], fd):
         now_ns = time.monotonic_ns()

@@ -81,8 +81,8 @@ def whole(incident: Incident) -> list[Line]:
 
 
 def brief(incident: Incident) -> list[Line]:
-    """The most important lines, in the order of time. These are the lines closest to the cause, without anything that
-    ended before the last reset."""
+    """The most important lines near the cause, at most MOST_LINES, in the order of time. Lines that ended before the
+    last reset or start are left out."""
     lines, cause_ns = whole(incident), incident.cause_ns
     begun_ns = max((line.ns for line in lines if line.what in BEGINNINGS and line.ns < cause_ns), default=0)
 
@@ -143,8 +143,8 @@ def _arm(incident: Incident) -> Iterator[Line]:
 
 
 def _writes(incident: Incident) -> Iterator[Line]:
-    """The writes to the board, by kind. In brief() only those after the cause appear, and those that the port did not
-    take completely."""
+    """The writes to the board, by kind. Zero frames, pings and writes before the cause are routine, unless the port
+    took only a part of them."""
 
     def key(numbered: tuple[int, PortWrite]) -> tuple[str, int, str, bool, bool]:
         drive, write = numbered
@@ -192,8 +192,7 @@ def _board(incident: Incident) -> Iterator[Line]:
 
 
 def _wheels(incident: Incident) -> Iterator[Line]:
-    """A line for each time that the board reported turning or still wheels, and for each gap in which it reported
-    nothing."""
+    """A line for each period in which the board reported turning or still wheels, and for each gap in its reports."""
     spans = incident.rolled()
     for turn, begin_ns, end_ns, fastest_rps, count in spans:
         said = f"seen turning, max {fastest_rps:.2f} turns/s" if turn else "seen still"
@@ -205,7 +204,7 @@ def _wheels(incident: Incident) -> Iterator[Line]:
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
-    """A line for each silence of a process. If the run has ended, also a line for each process's last sign of life."""
+    """A line for each silence of a process. If the run died, also a line for each process's last beat."""
     for process, since_ns, until_ns in incident.silences():
         said = f"last beat of the {named(process)} for {(until_ns - since_ns) / 1e6:.0f} ms"
         yield Line(since_ns, "beat", said, until_ns)
@@ -215,7 +214,7 @@ def _silences(incident: Incident) -> Iterator[Line]:
 
 
 def _events(incident: Incident) -> Iterator[Line]:
-    """The logged events. If the run has ended, also the causes that nobody was left to log."""
+    """The logged events. If the run died, also the later causes that the port owner and the gate noticed."""
     for event in incident.events:
         # The summary above the story already shows the event of this stop.
         own = event.fields.get("cause") == incident.cause.kind.name and event.ns >= incident.cause_ns
@@ -228,8 +227,7 @@ def _events(incident: Incident) -> Iterator[Line]:
 
 
 def _ended(incident: Incident, cause: Cause) -> str:
-    """The text for a process that the kernel ended when the supervisor died. The kernel does this by design, so the
-    text says so. Empty for any other cause."""
+    """The text for a process that ended by design, because the supervisor died. Empty for any other cause."""
     process = PROCESS_BY_NAME.get(str(cause.named().get("process")))
     by_design = process and not process.outlives_supervisor and cause.kind is causes.DIED
     if not by_design or incident.cause != causes.DIED(layout.SUPERVISOR):

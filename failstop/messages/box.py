@@ -1,9 +1,8 @@
 """The black box records what each process except the stopper has done in about the last minute. The records are in
 shared memory, in rings named `box`, and are saved with each stop. This module defines the payloads of these rings.
 
-Each ring is in the segment of the process that writes it, so it can still be read when that process has died. Readers
-never delay the writer. Adding an entry is cheap, and it never delays a stop, because a process adds the entry about a
-stop only after it has written the bytes of the stop.
+Each ring is in its writer's segment, so it can be read after the writer has died. Readers never delay the writer. A
+process adds the entry about a stop only after it has written the stop, so the entry never delays the stop.
 """
 
 from __future__ import annotations
@@ -95,8 +94,8 @@ _AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
-    """The closest value that fits into a four-byte float. A client may send any double, so its value may be too large.
-    NaN stays NaN."""
+    """Limit a value to a range that fits into a four-byte float, because a client may send any double. NaN stays
+    NaN."""
     return min(max(value, -3e38), 3e38)
 
 
@@ -119,9 +118,9 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """Make an entry about what the arm must do, and who wants it. `aims` has a pair for each servo: the servo's id and
-    its aim. With the mode follow, the aim is the position that the client wants at present, in pulses. With jog, the
-    aim is a rate in pulses/s. With trajectory, the aim is the last position of the trajectory, in pulses."""
+    """Make an entry about where the arm must go, and for whom. `aims`: pairs of a servo's id and its aim. In mode
+    follow, an aim is the position that the client wants at present, in pulses. In jog it is a rate in pulses/s, and in
+    trajectory the last position in pulses."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
@@ -140,8 +139,8 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
     """Make an entry about heartbeats. Both lists have a time in microseconds for each process of layout.PROCESS_NAMES.
-    `silent_us`: the longest time without a heartbeat since the previous entry. `before_us`: how long before this entry
-    that silence was."""
+    `silent_us`: its longest silence since the previous entry. `before_us`: how long before this entry that silence was
+    seen."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
@@ -174,9 +173,8 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) for each process of layout.PROCESS_NAMES, as pack_beats() got them. Empty if the
-    entry is not about heartbeats, but about a stop burst of the supervisor (OWN_BURST). Raises ValueError if it is
-    damaged."""
+    """Return (silent_us, before_us) for each process of layout.PROCESS_NAMES. Empty for a stop burst of the supervisor
+    (OWN_BURST). Raises ValueError if the entry is damaged."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)

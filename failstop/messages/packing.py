@@ -34,9 +34,9 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """Pack a text and its fields into at most `room` bytes. `whole` is a function that makes one value from the text
-    and the fields. Each pair in `cuts` says how many bytes of the text, and how many of each field, are kept. The first
-    pair with which everything fits is used. If nothing fits even with the last pair, the fields are left out."""
+    """Pack `whole(text, fields)` into at most `room` bytes. Each pair in `cuts` says how many bytes of the text and of
+    each text field are kept. The first pair that fits is used. If none fits, the last pair is used without the
+    fields."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {

@@ -90,8 +90,8 @@ NOTHING = Tail(bytes, lambda data: (), 0)
 
 class Shape:
     """The shape of a payload: fixed numbers in the notation of `struct`, and then a tail of variable length. `pack` and
-    `unpack` use the same values in the same order. `unpack` raises ValueError for bytes that don't have this shape, so
-    that damaged bytes are noticed. `most`: the largest size in bytes."""
+    `unpack` use the same values in the same order. `unpack` raises ValueError for bytes of another shape. `most`: the
+    largest size in bytes."""
 
     __slots__ = ("_count", "_numbers", "_tail", "most", "pack")
 
@@ -132,8 +132,8 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """Combine a process's pid and the number of its block of futexes into one word. Other processes need both to notice
-    the death of the process."""
+    """Combine a process's pid and the number of its block of futexes into one word. Other processes need both numbers
+    to notice the death of the process."""
     return block << 32 | pid
 
 
@@ -148,9 +148,9 @@ def printable(text: str) -> str:
 
 
 def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
-    """Make the line that requests a stop through the stop pipe. It has the reason, cut to ASKED_BYTES, and the name and
-    pid of the program that asks, separated by tabs. `row`: the name of the cause that the reason belongs to; empty if
-    the program knows none."""
+    """Make the line that requests a stop through the stop pipe: the reason, cut to ASKED_BYTES, then the requester's
+    name and pid, and `row`, separated by tabs. `row`: the name of the cause, if the program knows it. Without `who`,
+    the line has only the reason."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
@@ -284,15 +284,14 @@ PROVED: Payload[int, int] = Payload("<QQ")
 """Proof that the board has handled everything that was written up to a certain time. The values are that time, and the
 time at which the proof (an answer or a report of the board) arrived, both in ns."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""A stop. Its values are the epoch; when the cause was noticed (ns); when the stop burst was passed to the kernel (ns;
-0 if the burst could not be passed); and the packed cause."""
+"""A stop: (epoch, when the cause was noticed, when the stop burst was passed to the kernel, packed cause). Times are in
+ns. The third value is 0 if the burst could not be passed."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""The latch. Its values are the epoch of the latched stop (0 if no stop is latched); when the cause of that stop was
-noticed (ns); when the epoch was last raised (ns); and the packed cause of the latched stop, or if no stop is latched,
-of the last stop."""
+"""The latch: (epoch of the latched stop, when its cause was noticed, when the epoch was last raised, packed cause).
+Times are in ns. If no stop is latched, the epoch is 0 and the cause is that of the last stop."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
-"""The board's port. The values are the port's number in this run; when the port's present state began (ns); the present
-state, such as PORT_OPEN; and the port's path."""
+"""The board's port: (the port's number in this run, when its state began in ns, its state such as PORT_OPEN, its
+path)."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     "<Q3d?",
     Tail(
@@ -322,8 +321,7 @@ because many clients may come and go before the gate reads this record again."""
 
 
 def goodbye(session: int, before: bytes) -> bytes:
-    """Make the LEFT record that a client writes when it leaves. `session`: the client's session, which comes first.
-    `before`: the bytes of the old LEFT record, whose sessions follow."""
+    """Make the LEFT record of a client that leaves: its session, then the sessions of the old record `before`."""
     try:
         earlier = LEFT.unpack(before)
     except ValueError:
@@ -432,8 +430,8 @@ by a frame for the board. The frame moves nothing."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """Return the state (such as PORT_OPEN) of the port with the number `number`. `entry`: the port owner's PORT record,
-    or None. If there is no record, or if it is about another port, the state is PORT_CLOSED."""
+    """The state of the port `number`, such as PORT_OPEN, from the port owner's PORT record `entry`. PORT_CLOSED if
+    there is no record, or if it is about another port."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -1,12 +1,11 @@
 """Segments: the blocks of POSIX shared memory of a running service, which are files on Linux. The supervisor makes
 them, and the other processes attach to them.
 
-Every user may write to /dev/shm, so a malicious user could put files with the names of segments there before the
-service starts. For this reason, the names contain the run's incarnation. This is a random number, which programs find
-in the file `run` of the runtime directory. A process also checks each segment when it attaches to it: the owner, the
-magic number, the layout, the name, the size and the incarnation. If one of these checks fails, the process refuses the
-segment, with a message that says what to do. A damaged segment is never repaired, because a restart of the service
-makes new segments.
+Every user may write to /dev/shm, so a malicious user could put files with the names of segments there in advance. For
+this reason, the names contain the run's incarnation. This is a random number in the file `run` of the runtime
+directory. A process that attaches to a segment also checks the owner, magic number, layout, name, size and incarnation.
+If a check fails, the process refuses the segment, with a message that says what to do. A damaged segment is never
+repaired, because a restart of the service makes new segments.
 """
 
 from __future__ import annotations
@@ -53,9 +52,9 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Make a segment for this run. Only the supervisor does this. If the segment is the supervisor's own, this also
-    locks it. The supervisor keeps the lock while it lives, so other processes can see that it is alive (lives()). If
-    the segment can't be made, this removes what was made of it, and raises AttachError."""
+    """Make a segment for this run. Only the supervisor does this. The supervisor's own segment is also locked for as
+    long as the supervisor lives, so that lives() can see it. If this fails, removes the unfinished segment and raises
+    AttachError."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         fd = _make(path)
@@ -84,9 +83,8 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """Make a new shared memory object, and return its descriptor. If posix-ipc is installed, it makes the object. If
-    not (for Python 3.14 there is no wheel of it), this function makes the same system call as glibc's shm_open().
-    Raises OSError."""
+    """Make a new shared memory object, and return its descriptor. Without posix-ipc, which has no wheel for Python
+    3.14, this makes the same system call as glibc's shm_open(). Raises OSError."""
     try:
         import posix_ipc  # imported only here, so that processes that only attach don't load it
     except ModuleNotFoundError:
@@ -99,8 +97,7 @@ def _make(path: str) -> int:
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove the name of a segment. Errors are ignored, because a name that remains does no harm: every new run uses
-    new names."""
+    """Remove the name of a segment. Errors are ignored, because every new run uses new names."""
     with contextlib.suppress(OSError):
         os.unlink(path_of(memory, name))
 
@@ -130,10 +127,11 @@ def open_life(memory: str, owner: int) -> int:
 
 
 def lives(fd: int) -> bool:
-    """True if the supervisor of this run is alive, which means that it holds the lock on its segment. Another user
-    can't hold this lock, because it needs the permission to write the segment. `fd`: a descriptor of the supervisor's
-    segment. The check takes one system call and uses no pid, so it works in every container. Raises OSError if `fd` is
-    not a regular file."""
+    """True if the supervisor of this run is alive. `fd`: a descriptor of the supervisor's segment. Raises OSError if
+    `fd` is not a regular file.
+
+    A live supervisor holds the lock on its segment. Another user can't hold this lock, because it needs the permission
+    to write the segment. The check uses no pid, so it works in every container."""
     return claim.held(fd, 0, by_writer=True)
 
 
@@ -162,8 +160,8 @@ def _version(told: bytes) -> str:
 
 
 def dead_runs(instance: str) -> list[str]:
-    """List this user's runs of an instance that have ended without removing their segments, the newest last. Each is
-    the name that the run's segments share, as memory() returns it."""
+    """List this user's runs of an instance that have ended without removing their segments, the newest last. Each run
+    has the name that memory() returns."""
     found: dict[str, int] = {}
     prefix = f"failstop.{instance}."
     for file in os.listdir(SHM):
@@ -180,11 +178,12 @@ def dead_runs(instance: str) -> list[str]:
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
     """Attach to a segment. Pass write=True only in the process that is declared as the writer of this segment.
+    `incarnation`: the expected run; None to accept any. `owner`: the uid of the service; -1 for this process's user.
+    Raises AttachError.
 
-    Most segments are mapped into memory. The segments of clients and the segment `lifelines`, which several processes
-    may write, are accessed through their files instead. If somebody truncated a mapped file, the process that has
-    mapped it would be killed with SIGBUS. `incarnation`: the expected run; None to accept any. `owner`: the uid of the
-    service; -1 for this process's user. Raises AttachError.
+    Several processes may write the segments of clients and `lifelines`, so these are accessed through their files. All
+    other segments are mapped into memory. If somebody truncated a mapped file, the kernel would kill the process that
+    has mapped it (SIGBUS).
     """
     spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)
@@ -204,10 +203,11 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """Open a client's segment so that the service can read it. The header is not checked, because a client may have
-    overwritten it. It is not needed either: the CRC of each record includes the run's incarnation, and so shows that
-    the record belongs to this run. If the segment can't be opened, for example because a client has removed its name,
-    the result is an empty segment."""
+    """Open a client's segment so that the service can read it. If this fails, for example because the client has
+    removed the segment's name, returns an empty segment.
+
+    The header is not checked, because a client may have overwritten it. The CRC of each record includes the run's
+    incarnation, so it shows that the record belongs to this run."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
@@ -217,9 +217,9 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
 
 
 def open_all(memory: str) -> dict[str, int]:
-    """Open the segments of all processes of a run for reading. Segments that don't exist, or that belong to another
-    user, are left out. Returns the descriptors by process name. They can still be read after the names of the segments
-    were removed."""
+    """Open the segments of all processes of a run for reading. Returns the descriptors by process name, without
+    segments that can't be opened or that belong to another user. The descriptors stay readable after the names of the
+    segments were removed."""
     found = {}
     for name in layout.PROCESS_NAMES:
         try:

@@ -85,8 +85,8 @@ def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 
 def _held(part: float, whole: float) -> float:
-    """Divide `part` by `whole`, and limit the result to 0..1. `whole` is 0 if the lines are parallel, or if a segment
-    is a single point. Any value between 0 and 1 is right then, and the result is 0."""
+    """Divide `part` by `whole`, and limit the result to 0..1. Returns 0 if `whole` is 0, because any value between 0
+    and 1 is right then. This is so for parallel lines, or if a segment is a single point."""
     return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 
@@ -105,10 +105,9 @@ def _on(begin: Point, way: Point, share: float) -> Point:
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
-    """Find the first collision of an arm that moves from `start` through the angles of all rows. From one row to the
-    next, every joint turns evenly. Returns the time until the collision in seconds (0 if the rows have no times), and
-    the names of the two parts. Returns None if there is no collision. It is no collision if parts touch at the start
-    and move apart."""
+    """Find the first collision of an arm that moves from `start` through the angles of all rows. From row to row, every
+    joint turns evenly. Returns the time until the collision in seconds (0 if the rows have no times) and the names of
+    the two parts, or None. Parts that touch at the start and move apart are no collision."""
     at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
         end = {**at, **to}

@@ -1,10 +1,9 @@
 """Causes: the table of everything that stops the robot. Each row says what people read, which process notices the
-cause, what clears it, and what people must do.
+cause, what clears it, and what people must do. A stop for any of these causes is latched.
 
 A stop must not wait for its text. So the process that notices a cause sends only the row's number and the arguments
-(`pack`). The text (`str`) is made later, by the process that reports the cause. The text comes from a template. A part
-of the template in brackets is left out if all arguments in this part are empty. A stop for any of these causes is
-latched.
+(`pack`). The process that reports the cause makes the text later, from a template (`str`). A part of the template in
+brackets is left out if all its arguments are empty.
 
 `what` is a clause that continues "stopped since ...". It can use the arguments, and also `role` (what the process does)
 and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder (see
@@ -58,10 +57,10 @@ USE_THE_SWITCH = "use the POWER SWITCH"
 class Kind(Data):
     """One row of the table of causes.
 
-    `number` is never used again for another row. `template` has its parameters in braces; none of them is called
-    "name". `noticed_by` lists the processes that can notice the cause. If a stop for this cause may not reach the
-    wheels, the row has a `doubt`, a clause that is added to `what`. first() then sends people to the power switch,
-    unless it is known that the stop has reached the wheels.
+    `number` is never used again for another row. `template` has its parameters in braces, and none may be called
+    "name". `noticed_by` lists the processes that can notice the cause. `doubt` is a clause that is added to `what`. A
+    row needs a `doubt` if a stop for this cause may not reach the wheels. first() then sends people to the power
+    switch, unless the stop is known to have reached the wheels.
     """
 
     number: int
@@ -80,8 +79,8 @@ class Kind(Data):
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
-        """The name and type of each parameter of `template`. The parameters are computed only once, because a cause is
-        made right before a stop is written, and the stop must not wait."""
+        """The name and type of each parameter of `template`. Computed only once, because making a cause must not delay
+        the stop."""
         fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
         return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
@@ -108,8 +107,8 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text that is shown when the stop happens. If the stop may not have reached the wheels, the text tells
-        people to use the power switch."""
+        """The text that is shown at the stop. If the stop may not have reached the wheels, the text tells people to use
+        the power switch."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
@@ -162,8 +161,8 @@ def filled(template: str, arguments: dict[str, Value]) -> str:
 
 
 def read(payload: bytes) -> Cause:
-    """Make a cause from the bytes that pack() has returned. Damaged bytes give UNKNOWN instead of an error, because a
-    stop counts even if its cause can't be read."""
+    """Make a cause from the bytes that pack() has returned. Damaged bytes give UNKNOWN, because a stop counts even if
+    its cause can't be read."""
     try:
         return unpack(payload)
     except ValueError:
@@ -171,8 +170,8 @@ def read(payload: bytes) -> Cause:
 
 
 def of(name: str, arguments: dict[str, Value]) -> Cause:
-    """Make the cause with this name and these arguments. If this version of failstop doesn't have a cause with this
-    name, the result is UNKNOWN."""
+    """Make the cause with this name and these arguments. The result is UNKNOWN if no cause has this name, or if an
+    argument is missing."""
     kind = CAUSE_BY_NAME.get(name)
     if kind is None or {key for key, _ in kind.parameters} - set(arguments):
         return UNKNOWN()
@@ -180,9 +179,8 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """Make the cause of a stop from a line in the stop pipe, with which a program has requested the stop.
-    records.asking() makes such lines. But every local user may write to the pipe, and the reader can't see who wrote a
-    line. So the program's name in the line may be false."""
+    """Make the cause of a stop from a line in the stop pipe. records.asking() makes such lines. The program's name in a
+    line may be false, because every local user may write to the pipe."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, rest = rest.partition("\t")
@@ -196,8 +194,8 @@ def requested(line: bytes) -> Cause:
 
 
 def _quoted(text: str) -> str:
-    """Make a text safe to show between quotation marks. Double quotes are replaced, because one would end the
-    quotation, and backquotes too, because they mark failstop's own commands."""
+    """Make a text safe to show between quotation marks. Double quotes would end the quotation, and backquotes mark
+    failstop's own commands, so both are replaced."""
     return printable(text).replace('"', "'").replace("`", "'")
 
 
@@ -212,15 +210,14 @@ def bare(cause: Cause) -> str:
 
 
 def remedied(cause: Cause, reached: str = "") -> str:
-    """What people must do first after a stop for this cause. The placeholders in the remedy are filled in, for example
-    with the names of ROS nodes. `reached`: how it is known that the stop has reached the wheels; empty if it is not
-    known."""
+    """What people must do first after a stop for this cause, with all placeholders filled in. `reached`: how it is
+    known that the stop has reached the wheels; empty if it is not known."""
     return cause.kind.first(reached).format_map({name: advise(cause) for name, advise in ADVISED.items()})
 
 
 def _to_remap(cause: Cause) -> str:
-    """The names of the ROS nodes that must be moved to another topic, because several nodes publish on one topic and
-    only one may remain. If it is not clear which one, the text says "all but one of" them."""
+    """The names of the ROS nodes that must publish on another topic, because only one node may publish on this one. If
+    it is not clear which node may stay, the text is "all but one of" and all names."""
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
@@ -239,17 +236,15 @@ BY = " (says it is "
 
 
 def rival_of(who: str, other: str) -> str:
-    """Return how to name the client `other`, which disturbs the client `who`. Each of these texts is a name and a pid.
-    If both have the same known pid, they are two Robots in one program, and the result is SECOND_ROBOT. Otherwise the
-    result is `other`."""
+    """The name for the client `other`, which disturbs the client `who`. Both are texts with a name and a pid. If both
+    have the same known pid, the result is SECOND_ROBOT, otherwise `other`."""
     pid = who.rpartition(" (pid ")[2]
     known = pid.endswith(")") and pid != "0)"  # 0: the client is in another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """True if `later` repeats the stop request `latched`, and has the name for which `latched` has NOT_KNOWN. A cause
-    can be completed only once, because no name is missing afterwards."""
+    """True if `later` repeats the stop request `latched` with a name in the place of NOT_KNOWN."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -509,13 +504,13 @@ def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
 
 
 def refused(why: str, latched: Cause | None = None) -> Reply:
-    """Make an answer that refuses a request. `latched`: the cause of the latched stop, whose text is added to `why`;
-    None if no stop is latched."""
+    """Refuse a request. `latched`: the cause of the latched stop, which is added to the text; None if no stop is
+    latched."""
     if latched is None:
         return Reply(records.REFUSED, why)
     return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)
 
 
 def asked_before(cause: Cause) -> Reply:
-    """Refuse a request that was made before the last stop. The client could not know about that stop when it asked."""
+    """Refuse a request that was made before the last stop, because the client could not know about that stop."""
     return Reply(False, f"asked before the last stop ({records.CAUSE}): deal with that stop, then ask again", cause)

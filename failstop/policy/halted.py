@@ -1,9 +1,8 @@
 """Halted: the sentence that a command prints about the wheels after it has tried to stop them. Pure.
 
-If there is a reason to think that a wheel may still be turning, the sentence says so, for example if the stop was not
-written completely, or if the board can confirm a stop but has not. Otherwise, if the wheels were observed to be at
-rest, the sentence says that they are stopped. If they were not observed, it says only what is known, for example that
-the board has confirmed the stop.
+The sentence warns if there is a reason to think that a wheel may still be turning, for example if the board can confirm
+a stop but has not. It says that the wheels are stopped only if they were observed to be at rest. Otherwise it says only
+what is known, for example that the board has confirmed the stop.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Joints: the settings of each joint of the arm, and where the joint is. Pure.
 
-Positions are in pulses of the servo. A commanded position keeps its fraction, and is rounded only for the frame. If
-each step of a move were rounded, slow moves would be wrong: at 0.3 rad/s a joint moves only 2.9 pulses in a step, and
-at lower speeds perhaps less than one.
+Positions are in pulses of the servo. A commanded position keeps its fraction, and is rounded only for the frame.
+Rounding each step would spoil slow moves: at 0.3 rad/s a joint moves only 2.9 pulses in a step.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class Joint:
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """What people and programs see of this joint: its values in the gate's state."""
+        """The joint's values in the gate's state. The position is None if it is not known."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)
@@ -95,8 +94,8 @@ class Joint:
         self.unpaired = None
 
     def step_towards(self, target: float, share: float, elapsed_s: float) -> None:
-        """Take one step toward the position `target`. `share`: the share of the joint's highest speed that the step may
-        use. The joint slows down in time to stop at the position."""
+        """Take one step toward the position `target`, and slow down in time to stop there. `share`: the share of the
+        joint's highest speed that the step may use."""
         gap = target - self.position
         wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
         self._step(copysign(wanted, gap), elapsed_s)
@@ -136,8 +135,8 @@ def from_settings(settings: Settings) -> list[Joint]:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """Check that joints may move to these angles. Returns a text about the first joint whose angle is not allowed, with
-    the joint's range. Empty if all angles are allowed."""
+    """Why joints may not move to these angles: a text about the first angle that is not allowed, with the joint's
+    range. Empty if all angles are allowed."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:

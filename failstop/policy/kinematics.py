@@ -54,8 +54,8 @@ class Chassis:
         mounted: Sequence[tuple[int, int]],
         speeds: int,
     ) -> None:
-        """`rows`: the rim speeds of each wheel; `mounted`: the id on the wire and the sign of each wheel; `speeds`: how
-        many speeds a frame has. The speed for an id that has no wheel is always zero."""
+        """`rows`: the rim speeds of each wheel. `mounted`: the id on the wire and the sign of each wheel. `speeds`: how
+        many speeds a frame has. An id without a wheel always gets the speed zero."""
         self.axes = axes
         self.rest = (0.0,) * speeds
         turns_per_m = 1 / (pi * diameter_m)
@@ -66,13 +66,12 @@ class Chassis:
         self._back: tuple[tuple[float, ...], ...] | None = None
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """The factors that convert wheel speeds to the body's velocity. There are three rows, for vx (m/s), vy (m/s)
-        and wz (rad/s). A row has one factor for each id on the wire. To get vx, for example, multiply the turns per
-        second of each wheel by the factor for its id, and add the products.
+        """The matrix that converts wheel speeds (turns per second, by wire id) to the body's velocity. Its rows are for
+        vx (m/s), vy (m/s) and wz (rad/s), with one factor for each id on the wire.
 
-        The resulting velocity fits all wheels best (least squares). Four mecanum wheels can turn at speeds that fit no
-        motion of the body, so some wheels slip. This slip is ignored. Raises ValueError if several velocities of the
-        body give the same wheel speeds, for example because three omni wheels all roll in the same direction.
+        The resulting velocity fits all wheels best (least squares). If no motion of the body fits, some wheels slip,
+        and this slip is ignored. Raises ValueError if several velocities give the same wheel speeds, for example
+        because three omni wheels all roll in the same direction.
         """
         if self._back is None:
             self._back = _least_squares(self._rows, self.axes)
@@ -85,18 +84,18 @@ class Chassis:
         return vx, vy, wz
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity closest to `velocity` that the base can have."""
+        """`velocity`, limited to what the base can do. Only Steered limits anything."""
         return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """The speed of each wheel for this velocity, in turns per second by wire id. A part of the velocity that the
-        wheels can't follow, such as sideways motion with fixed wheels, is ignored."""
+        """The speed of each wheel for this velocity, in turns per second by wire id. Motion that the wheels can't
+        follow is ignored, for example sideways motion with fixed wheels."""
         # Adding zero turns -0.0 into +0.0.
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The highest speed that any wheel can reach, in turns per second, while the body's velocity stays within the
-        limits that are passed. No limit may be negative."""
+        """The highest speed that any wheel can reach within these limits of the body's velocity, in turns per second.
+        No limit may be negative."""
         return max(abs(x) * vx_mps + abs(y) * vy_mps + abs(z) * wz_radps for x, y, z in self._rows)
 
 
@@ -115,15 +114,15 @@ class Steered(Chassis):
         self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity closest to `velocity` that the base can have. The forward speed stays the same, and the turn is
-        limited by the largest steering angle."""
+        """Limit a velocity to what the base can do. The forward speed stays the same, the sideways speed becomes 0, and
+        the largest steering angle limits the turn."""
         vx, _, wz = velocity
         most = abs(vx) * self._turns_most
         return vx, 0.0, max(-most, min(most, wz))
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """The speed of each wheel in turns per second, by wire id, and then the angle of the steered wheels in rad. At
-        rest the angle is 0, because no angle follows from a velocity of zero."""
+        """The speed of each wheel in turns per second, by wire id, and then the angle of the steered wheels in rad. The
+        angle is 0 if the base does not drive or does not turn."""
         vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
         angle = atan2(self._wheelbase_m * abs(wz), abs(vx)) if vx and wz else 0.0
         # With very small numbers, rounding would give a larger angle than that of the curve.
@@ -131,14 +130,13 @@ class Steered(Chassis):
 
     @property
     def turns_unseen(self) -> bool:
-        """True if the base has only one driven wheel. Its speed does not show how the base turns; only the commanded
-        steering angle does."""
+        """True if the base has only one driven wheel. Then only the commanded steering angle shows how the base
+        turns."""
         return len(self._rear.rest) == 1
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """The factors of Chassis.rolled() for the driven rear wheels. With two rear wheels, the difference of their
-        speeds shows how the base turns, whatever the steering angle is. One rear wheel does not show how the base
-        turns, so the factors for wz are 0."""
+        """The factors of Chassis.rolled() for the driven rear wheels. With one rear wheel, the factors for wz are 0,
+        because one wheel does not show how the base turns."""
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
@@ -214,9 +212,9 @@ def of_wheels(
     base: Chassis, mounted: Sequence[tuple[int, int]], speeds_radps: Sequence[float], steering_rad: float | None = None
 ) -> Velocity:
     """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers).
-    `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the left. If you
-    pass this angle, it determines how the base turns, and the wheels determine only the forward speed. Raises
-    ValueError, for example if you pass this angle for a base without steered wheels."""
+    `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the left. With
+    this angle, the wheels determine only the forward speed, and the angle determines the turn. Raises ValueError, for
+    example for this angle on a base without steered wheels."""
     rps = [0.0] * len(base.rest)
     for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
         rps[id_] = sign * speed / (2 * pi)

@@ -1,6 +1,5 @@
 """Layouts: how many wheels a robot has, their names, and their settings. Pure. The board determines how many speeds are
-in a frame, but the layout determines how many wheels the robot has. If a frame has more speeds than the robot has
-wheels, the speeds that are left over are zero."""
+in a frame. The layout determines how many wheels the robot has. Speeds without a wheel are zero."""
 
 from __future__ import annotations
 
@@ -131,8 +130,8 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:
-    """How many speeds are in a frame for this kind of board, on a base with this layout. Returns None for a board that
-    a user has described, because such a board takes as many speeds as the layout has wheels."""
+    """How many speeds are in a frame for this kind of board and this layout. None for a board that a user has
+    described, because it takes as many speeds as the layout has wheels."""
     facts = facts_of(kind)
     return facts.layouts.get(layout, facts.speeds) if facts else None
 
@@ -144,8 +143,8 @@ def steers(kind: str) -> bool:
 
 
 def drivable(kind: str, speeds: int) -> list[str]:
-    """The layouts that this kind of board can drive. `speeds`: how many speeds are in a frame. This argument counts
-    only for a board that a user has described."""
+    """The layouts that this kind of board can drive. `speeds`: how many speeds are in a frame, used only for a board
+    that a user has described."""
     return [
         name
         for name, counts in LAYOUTS.items()
@@ -167,8 +166,8 @@ def wheel_count(kind: str, layout: str) -> int:
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
-    """The id on the wire of each wheel's motor. `given`: settings as texts. A setting that is missing there counts with
-    its default."""
+    """The id on the wire of each wheel's motor. `given`: settings as texts. Missing settings count with their
+    defaults."""
     found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]
@@ -217,8 +216,9 @@ def _absent(layout: str, count: int) -> dict[str, str]:
 
 
 def check_base(values: Values) -> None:
-    """Check the ids of the motors, and the steering. No two motors may have the same id, the board must know every id,
-    and the steering servo must be able to reach the largest steering angle. Raises SettingError."""
+    """Check the ids of the motors, and the steering servo. Two motors must not have the same id, and the board must
+    know every id. The steering servo must be one that the board can move, and must reach the largest steering angle.
+    Raises SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])

@@ -1,6 +1,5 @@
-"""Placing: explains two mistakes in a settings file. First, a line can be below the wrong [table], so that TOML reads
-the line as part of that table. Second, a setting or a table can be in the file twice. This module is imported only
-after a settings file has turned out to be wrong."""
+"""Placing: explains two mistakes in a settings file: a line below the wrong [table], which TOML reads as part of that
+table, and a setting or table that is in the file twice. This module is imported only for a wrong settings file."""
 
 from __future__ import annotations
 
@@ -35,7 +34,7 @@ class FileLine(Data):
 
 def outline(text: str) -> list[FileLine]:
     """The lines of a settings file that begin a table or set a value. A line within a multi-line text may be mistaken
-    for a setting, but for an error message this is good enough."""
+    for a setting, so use this only for error messages."""
     found = []
     table = ""
     for number, line in enumerate(text.split("\n"), 1):
@@ -52,9 +51,8 @@ def _bare(name: str) -> str:
 
 
 def meant(key: str, known: Callable[[str], bool]) -> str:
-    """The setting that somebody probably meant by the unknown key `key`. For example, if `board.kind` is written below
-    [arm], TOML reads it as `arm.board.kind`, but `board.kind` was meant. Empty if `key` does not end with the key of a
-    setting, or is itself the key of a setting."""
+    """The setting that somebody probably meant by the unknown key `key`. For example, `board.kind` below [arm] gives
+    the key `arm.board.kind`, but `board.kind` was meant. Empty if `key` is a setting, or does not end with one."""
     if known(key):
         return ""
     parts = key.split(".")

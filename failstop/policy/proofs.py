@@ -66,14 +66,14 @@ may have answered, or the wheels may have stopped, before that time."""
 
 
 def heard_late(process: object) -> str:
-    """Return HEARD_LATE if `process` is telemetry, otherwise an empty text. `process`: the process that has caused a
-    stop, for example by its death. Without telemetry, an answer to the stop is received late."""
+    """Return HEARD_LATE if `process` is telemetry, otherwise an empty text. `process`: the process that caused a stop,
+    for example by its death. Without telemetry, answers are received late."""
     return HEARD_LATE if process == "telemetry" else ""
 
 
 def observer(boards: str, *, imu: bool) -> str:
-    """What observes whether the wheels are at rest: `boards`, which is the board's own observer, `IMU` or `wheels`.
-    Empty if that is the IMU, but the robot has none (`imu` is False)."""
+    """The observer of the wheels: `boards`, the board's own (`IMU` or `wheels`). Empty if this is the IMU and the robot
+    has none (`imu` is False)."""
     return boards if imu or boards != "IMU" else ""
 
 
@@ -83,8 +83,8 @@ def still_after(seconds: float, less: str = "less than") -> str:
 
 
 def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
-    """A text that follows the word "wheels". It says how long it took until the wheels were still. If `seconds` is 0,
-    the observer saw no motion even before the stop, and the text says so."""
+    """A text that follows the word "wheels": how long it took until they were still. If `seconds` is 0, the text says
+    that no motion was seen even before the stop."""
     return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
 
 

@@ -73,8 +73,7 @@ EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Fill in the defaults of the robot that the settings name, for every setting that the user has not set. Raises
-    SettingError if failstop can't drive that robot, or if a default is None, so that you must measure the value and set
-    it."""
+    SettingError if failstop can't drive that robot, or if the user must measure and set a value that has no default."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
     if robot in UNDRIVEN:
         raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')

@@ -1,11 +1,10 @@
 """Scale: checks the setting board.per_rps, the scale of the wheels. This number is the speed, in the board's unit, at
 which a wheel makes one turn per second. Until a person has confirmed the scale, the robot may only drive slowly. Pure.
 
-If the scale is wrong, the robot drives too fast or too slowly. Often no measurement shows that the scale is wrong,
-because commands and reports use the same wrong scale, so they always agree. Only a person who looks at the wheel can
-tell. So the robot drives slowly until a person has watched a wheel turn; it is not enough to write the number into the
-settings. In two cases, failstop also compares the measured speeds with the commanded speeds: if the board uses one unit
-for commands and another for reports, or if a gyro measures how the robot turns.
+If the scale is wrong, the robot drives too fast or too slowly. Measurements often don't show this, because commands and
+reports use the same wrong scale. So the robot drives slowly until a person has watched a wheel turn. It is not enough
+to write the number into the settings. failstop compares measured with commanded speeds only if the board uses different
+units for commands and reports, or if a gyro measures how the robot turns.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ robot is probably on a stand, or somebody holds it."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:
-    """Return the settings with lower speed limits if nobody has confirmed the scale (`assumed`). If somebody has
-    confirmed it, return the settings unchanged."""
+    """The settings, with lower speed limits if nobody has confirmed the scale (`assumed`)."""
     if not assumed:
         return settings
     found = Settings.from_lines(settings.lines())
@@ -58,24 +56,23 @@ def cap_text(settings: Settings) -> str:
 
 
 def near(ratio: float, factor: float) -> bool:
-    """True if `ratio` (measured divided by commanded) differs from 1 by at most this factor, up or down."""
+    """True if `ratio` (measured divided by commanded) is between 1 / `factor` and `factor`."""
     return 1 / factor <= ratio <= factor
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """A text for people if the wheels' measured speed differs so much from the commanded speed that board.per_rps must
-    be wrong. The text names the value of board.per_rps that would fit. Empty if the difference may have a harmless
-    reason, such as a slope. `ratio`: measured divided by commanded. `per_rps`: the present value, in the board's
-    unit."""
+    """A text for people if the wheels' measured speed shows that board.per_rps must be wrong, with the value that would
+    fit. Empty if the difference may have a harmless reason, such as a slope. `ratio`: measured divided by commanded.
+    `per_rps`: the present value, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """A remark for people if the wheels' measured speed differs from the commanded speed. The remark says that the
-    difference may have a harmless reason, such as a slope. Empty if the difference is small. `ratio`: measured divided
-    by commanded. `per_rps`: the present value, in the board's unit."""
+    """A remark for people if the wheels' measured speed differs from the commanded speed, with possible harmless
+    reasons. Empty if the difference is small. `ratio`: measured divided by commanded. `per_rps`: the present value, in
+    the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -87,9 +84,9 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """A text for people if the turn rate that the gyro measures differs so much from the commanded one that a setting
-    is probably wrong. The text names the settings to check. Empty if the difference may come from tracks or skidding
-    wheels, or if the robot hardly turns at all (see ON_A_STAND). `ratio`: measured divided by commanded."""
+    """A text for people if the gyro's turn rate shows that a setting is probably wrong, with the settings to check.
+    Empty if the difference may come from tracks or skidding wheels, or if the robot hardly turns (see ON_A_STAND).
+    `ratio`: measured divided by commanded."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -97,9 +94,9 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """A remark for people if the turn rate that the gyro measures differs from the commanded one. The remark says that
-    tracks or skidding wheels may be the reason. Empty if the difference is small, or if the robot hardly turns at all
-    (see ON_A_STAND). `ratio`: measured divided by commanded."""
+    """A remark for people if the gyro's turn rate differs from the commanded one, with possible harmless reasons. Empty
+    if the difference is small, or if the robot hardly turns (see ON_A_STAND). `ratio`: measured divided by
+    commanded."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"

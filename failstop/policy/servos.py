@@ -1,5 +1,4 @@
-"""Servos on a bus: the load and the temperature of each servo, with the name of the part that the servo turns, and
-texts about servos for people. Pure."""
+"""Servos on a bus: each servo's load and temperature by the part that it turns, and texts for people. Pure."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """If the board's motor controllers report their own load and temperature, the ids of these controllers. Otherwise
-    the ids of the servos on the bus that turn the wheels. Empty if neither exists."""
+    """The ids of the motor controllers if they report their own load and temperature, otherwise of the bus servos that
+    turn the wheels. Empty if neither exists."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]
@@ -33,7 +32,8 @@ def _wheels(settings: Settings) -> tuple[int, ...]:
 
 
 def turn_wheels(settings: Settings) -> bool:
-    """True if servos on the bus turn the wheels, or motor controllers that report their own load and temperature."""
+    """True if the wheels are turned by bus servos, or by motor controllers that report their own load and
+    temperature."""
     return bool(_wheels(settings))
 
 
@@ -69,15 +69,14 @@ def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """The first wheel whose servo does not answer although another wheel's servo does, for example `rear wheel (servo
-    8)`. Empty if there is no such wheel."""
+    """The first wheel whose servo is reported as missing (SERVO_MISSING), for example `rear wheel (servo 8)`. Empty if
+    no wheel's servo is missing."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """What motion must wait for if the servo of one wheel does not answer, as a text. Empty if missing_wheel() finds no
-    such wheel."""
+    """A text for what motion waits for if a wheel's servo is missing. Empty if missing_wheel() finds no such wheel."""
     wheel = missing_wheel(rows, settings)
     return f"the {wheel}, which does not answer" if wheel else ""
 

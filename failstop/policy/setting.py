@@ -23,13 +23,13 @@ class SettingError(ValueError):
 
 
 def shortened(text: str) -> str:
-    """Shorten a text so that it fits into one line for people."""
+    """Replace unprintable characters, and shorten the text to at most MOST_SHOWN characters."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def shown(value: object) -> str:
-    """Show a value of any type in one line for people, shortened if necessary."""
+    """Show a value of any type as a shortened text on one line."""
     try:
         return shortened(repr(value))
     except (ValueError, RecursionError):  # for example a number with thousands of digits, or lists nested very deeply
@@ -40,7 +40,8 @@ class Setting(Data):
     """The declaration of one setting.
 
     A number has a range (both ends are allowed) or a list of allowed values. A text may have a list of allowed words,
-    and may allow the path of a folder besides them. A text without such a list may be empty if its default is empty.
+    and with `or_folder` may also be the path of a folder. A text without a list may be empty only if its default is
+    empty.
     """
 
     key: str

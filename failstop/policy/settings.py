@@ -24,8 +24,7 @@ SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
-    """Declare a setting whose value is a text. `allowed`: the words that are allowed. If there are none, any text
-    is allowed."""
+    """Declare a setting that has no range. `allowed`: the allowed values; empty to allow any text."""
     return Setting(key, default, "", None, None, doc, allowed)
 
 
@@ -357,13 +356,12 @@ class Settings:
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Check the values in `changed`, and fill in the defaults of all other settings. Raises SettingError, whose
-        message lists the unknown keys, wrong types and values out of range. It lists at most MOST_TOLD of them, and
-        says how many more there are. If there are no such mistakes, the message names values that contradict each
-        other.
+        """Check the values in `changed`, and fill in the defaults of all other settings. Raises SettingError with at
+        most MOST_TOLD unknown keys, wrong types and values out of range. If there are none, its message names values
+        that contradict each other.
 
-        `changed` has the values by key. If a value is an empty dict, it declares a table without settings of its own,
-        for example a source that uses only the defaults.
+        `changed` has the values by key. An empty dict as a value declares a table without settings of its own, for
+        example a source with only the defaults.
         """
         self.values: dict[str, float | str] = {setting.key: setting.default for setting in DECLARED}
         # family, name and key of each value in the named tables
@@ -410,7 +408,7 @@ class Settings:
             table[last] = declaration(key).check(value, key)
 
     def _fill_named(self) -> None:
-        """Fill in the defaults in the named tables. Afterwards the settings of each table are in the order of their
+        """Fill in the defaults in the named tables, and put the settings of each table in the order of their
         declarations."""
         facts = facts_of(self.text("board.kind"))
         joints = facts.arm.joint if facts and facts.arm else {}
@@ -446,7 +444,7 @@ class Settings:
         self._check_servos()
 
     def _check_servos(self) -> None:
-        """Check that each joint, and the steering of a steered base, has its own servo on the board."""
+        """Check that each joint, and a steering servo on the bus, has its own servo that the board can move."""
         kind = self.text("board.kind")
         facts = facts_of(kind)
         joints = {f"joints.{name}": table for name, table in self.named["joints"].items()}
@@ -497,10 +495,10 @@ class Settings:
         }
 
     def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int, int]:
-        """The arguments of board_of() in failstop/board/kinds.py. They are the kind of board; the wheel diameter in m;
-        the setting board.per_rps (0 for the board's usual value); the servo of a steered base; the setting
-        board.per_rps_confirmed (0 if nobody has confirmed board.per_rps); the baud rate (0 for the usual one); the CAN
-        id of the second motor; and how many speeds a frame has."""
+        """The arguments of board_of() in failstop/board/kinds.py: the kind of board, the wheel diameter (m),
+        board.per_rps (0 for the board's usual value), the servo of a steered base, board.per_rps_confirmed (0 if nobody
+        has confirmed it), the baud rate (0 for the usual one), the CAN id of the second motor, and the number of speeds
+        in a frame."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -567,8 +565,8 @@ def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFac
 
 
 def declaration(key: str) -> Setting:
-    """The declaration of the setting with this key. The setting may be in a named table, as sources.NAME.priority is.
-    Raises SettingError if no such setting exists."""
+    """The declaration of the setting with this key. It may be in a named table, such as sources.NAME.priority. Raises
+    SettingError if no such setting exists."""
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
@@ -579,7 +577,7 @@ def declaration(key: str) -> Setting:
 
 
 def is_setting(key: str) -> bool:
-    """True if a setting with this full key exists. The setting may be in a named table, as sources.NAME.priority is."""
+    """True if a setting with this full key exists. It may be in a named table, such as sources.NAME.priority."""
     family, _, rest = key.partition(".")
     return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
 

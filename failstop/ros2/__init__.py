@@ -5,5 +5,5 @@ watches the obstacle sensor. messages.py, report.py, diagnostics.py, words.py an
 messages as plain data. transport.py chooses the transport of DDS. These modules are all pure. link.py, inward.py,
 outward.py, arm.py, trajectory.py and bridge.py connect them to ROS and to the service.
 
-The bridge uses only Robot and State of the API. So if the bridge fails, only the commands that it sent are lost.
+The bridge reaches the service only through the API. So if the bridge fails, only the commands that it sent are lost.
 """

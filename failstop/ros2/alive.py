@@ -1,7 +1,7 @@
 """Alive: finds out whether the node that sent a goal is still alive. Pure: the time is an argument.
 
-DDS (Fast DDS) lists a killed or suspended process for up to 20 s. But a live process acknowledges reliable messages at
-once, and the client of an action receives feedback. So missing acknowledgements show that the sender is gone.
+DDS (Fast DDS) lists a killed or suspended process for up to 20 s. A live process acknowledges reliable messages at
+once, such as an action's feedback. So missing acknowledgements show that the sender is gone.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ class Alive:
 
 
 class Unwatched:
-    """Watches a sender that acknowledges nothing, so that only its publisher can be seen. Its path must therefore be
-    short."""
+    """Watches a sender that acknowledges nothing. Only its publisher can be seen, so its path must be short."""
 
     def __init__(self, now_ns: int, most_s: float) -> None:
         self._begun_ns = now_ns

@@ -1,8 +1,7 @@
 """The arm in ROS 2: goals, poses, hold and release. Each request is sent to the service in its own thread.
 
 The arm takes seconds to answer. No callback may wait that long, because the executor has only one thread, which also
-serves the bridge's interlock and its commands. Instead, a job waits in another thread, and the caller gets the answer
-when the job has ended.
+serves the bridge's interlock and its commands. So a job waits in another thread.
 """
 
 from __future__ import annotations
@@ -109,8 +108,8 @@ class ArmFace:
         return self._newest
 
     def begin(self, act: Callable[[Robot], Any]) -> Job:
-        """Send the service a request that takes time, in a job. It replaces an earlier request that has not begun
-        yet."""
+        """Send the service a request that takes time, in a job. It replaces earlier requests that have not begun yet,
+        except for reads and releases. A read or a release replaces nothing. A hold is sent at once."""
         if act in (_read, _release):
             return Job(self._asking, act)
         number = self.give_up()
@@ -124,8 +123,8 @@ class ArmFace:
         return Job(self._link, act, at_once=True) if act is _hold else Job(self._asking, newest)
 
     def go(self, path: Way, told: Callable[[str], None]) -> Job:
-        """Begin to move to a goal of the action. Only one goal can be active at a time. Raises Refused. `told` is
-        called with the progress."""
+        """Begin to move to a goal of the action. `told` is called with the progress. Raises Refused, for example if
+        another goal is active."""
         if old := self._old():
             raise Refused(old)
         if cause := self.rivals():
@@ -160,8 +159,8 @@ class ArmFace:
         return answer
 
     def poll(self, now_ns: int) -> None:
-        """Publish whether the arm moves, look for other publishers of goals, and log how the last goal ended. Call it
-        whenever the watch runs."""
+        """Do everything that is due for the arm: publish whether it moves, watch who publishes goals, and log failed
+        goals. Call it whenever the watch runs."""
         self._turned(now_ns)
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
@@ -182,15 +181,14 @@ class ArmFace:
                 self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _turned(self, now_ns: int) -> None:
-        """Record that this node runs. If it did not run for longer than a goal's timeout, goals that wait for it count
-        as old, because nobody knows how long they have waited in the kernel."""
+        """Record that this node runs. After a pause longer than a goal's timeout, all waiting goals count as old,
+        because nobody knows how long they have waited in the kernel."""
         if now_ns - self._turned_ns > self.goal_timeout_s * 1e9:
             self._since_ns, self._away_ns = now_ns + FRESH_NS, now_ns - self._turned_ns
         self._turned_ns = now_ns
 
     def _old(self, waited_ns: int = 0) -> str:
-        """Why the current goal is refused because it is too old. Empty if it is accepted. `waited_ns`: how long it has
-        waited at least."""
+        """Why the current goal is too old. Empty if it is not. `waited_ns`: the least time that it has waited."""
         now_ns = monotonic_ns()
         self._turned(now_ns)
         if now_ns - waited_ns < self._since_ns:

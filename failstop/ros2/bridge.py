@@ -81,7 +81,7 @@ class Bridge:
             sleep(POLL_S)
 
     def _show(self, shown: dict[str, mirrors.ParameterValue]) -> None:
-        """Set the parameters that show settings. Log a warning for each parameter for which somebody has given another
+        """Set the parameters that show settings. Logs a warning for each parameter that was started with another
         value."""
         from rclpy.parameter import Parameter
 
@@ -143,7 +143,7 @@ class Bridge:
                 self._show(shown)
 
     def end(self, _number: int, _frame: object) -> None:
-        """The signal handler: end at the next turn of the loop, which comes within 50 ms."""
+        """The signal handler: end at the next turn of the loop, within 50 ms."""
         self._shared.ending = True
 
 

@@ -19,7 +19,7 @@ ROOT = "root can read them"
 
 def check(look: Look) -> list[Finding]:
     """Check whether the bridge can hear the robot's nodes. Two users can't exchange data by Fast DDS's shared memory,
-    so this looks for that memory in the bridge's memory maps."""
+    so the check looks for it in the bridge's memory maps."""
     system = look.system
     pid = next((client.pid for client in look.state.clients if client.name == CLIENT), 0) if look.state else 0
     if not pid:

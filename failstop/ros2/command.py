@@ -20,7 +20,7 @@ failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
 
 
 class NoRos(FailstopError):
-    """This Python can't import rclpy. The message names the file to source."""
+    """This Python can't import rclpy. The message says what to do."""
 
     exit_code = INCOMPLETE
     """Exit code of a command that fails with this error."""
@@ -44,8 +44,8 @@ def main(arguments: Namespace) -> int:
 
 
 def find_rclpy() -> None:
-    """Make rclpy importable. ROS puts its packages into PYTHONPATH, which the installed command ignores. Raises
-    NoRos."""
+    """Make rclpy importable. Adds the folders of PYTHONPATH to sys.path, because ROS puts its packages there and the
+    installed command ignores it. Raises NoRos."""
     known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     sys.path += [path for path in known if os.path.isabs(path) and path not in sys.path]
     try:

@@ -1,10 +1,10 @@
 """Commanders: which nodes publish cmd_vel, and whether a command may be passed on. Pure: the graph and the time are
 arguments.
 
-The graph is DDS's list of publishers. It contains each publisher of a topic, whatever its type and quality. It also
-contains a publisher that was killed, for up to 20 s. The graph is read before every command, because commands of a
-second publisher would pass between two looks (36 of 48 tries with a look every 20 ms, measured). It is also read 50
-times a second, to notice publishers that are silent.
+The graph is DDS's list of publishers. It has every publisher of a topic, whatever its type and quality, and a killed
+publisher for up to 20 s. It is read before every command. Otherwise commands of a second publisher would pass between
+two looks (36 of 48 tries with a look every 20 ms, measured). It is also read 50 times a second, to notice publishers
+that are silent.
 
 On an overloaded machine a command may wait in a queue for 0.1 to 0.7 s. Its publisher may be gone by the time the
 bridge handles it (66 of 400 tries, measured). So a command is judged by who published when it was received.
@@ -45,16 +45,16 @@ class Publisher(NamedTuple):
 
 
 def waited_ns(received_ns: int, wall_ns: int) -> int:
-    """How long a message has waited in its queue, ns. `received_ns`: when DDS received it. `wall_ns`: now. Both are
-    wall clock times. If DDS does not say when (0), or if the clock was set back meanwhile, the result is FRESH_NS."""
+    """How long a message has waited in its queue, ns. `received_ns`: when DDS received it, or 0 if not known.
+    `wall_ns`: now. Both are wall clock times. The result is FRESH_NS if it can't be known, for example after the clock
+    was set back."""
     return wall_ns - received_ns if 0 < received_ns <= wall_ns else FRESH_NS
 
 
 class Lag:
-    """Measures how much later than usual a message arrived. DDS sends a lost message again, maybe seconds later, and
-    shows it as just received. So the time when it was sent must be compared. That time is of the sender's clock, which
-    may differ from this computer's clock. So the delay of the sender's quickest recent message serves as the zero
-    point."""
+    """Measures how much later than usual a message arrived. DDS may send a lost message again seconds later, and shows
+    it as just received. Only the sender's time shows the delay, but the sender's clock may differ from this computer's.
+    So the delay of the sender's quickest recent message serves as the zero point."""
 
     def __init__(self) -> None:
         self._of: Sequence[Publisher] = ()
@@ -63,9 +63,9 @@ class Lag:
         window, ns."""
 
     def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
-        """How much later than usual a message of these publishers arrived, ns. `sent_ns` is of the sender's wall clock,
-        and `received_ns` of this computer's. The result is 0 for the first message, and if DDS does not say when the
-        message was sent (0). If one of the clocks is set, messages may count as late for up to two windows."""
+        """How much later than usual a message of these publishers arrived, ns. `sent_ns`: the sender's wall clock, or 0
+        if not known. `received_ns`: this computer's wall clock. Returns 0 for the first message, and if `sent_ns` is 0.
+        After a clock was set, messages may count as late for up to two windows."""
         if not sent_ns:
             return 0
         lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns
@@ -78,8 +78,8 @@ class Lag:
 
 
 class Asking:
-    """Decides when to request a stop. It is requested at once, and again while it is not latched. If the cause lacked
-    the names of nodes, the stop is requested once more when they are known, which completes the cause."""
+    """Decides when to request a stop: at once, and again while it is not latched. If the cause lacked the names of
+    nodes, the stop is requested once more with the names, which completes the cause."""
 
     def __init__(self) -> None:
         self._asked_ns = 0
@@ -133,8 +133,8 @@ class Commanders:
     """Who publishes cmd_vel, as last seen."""
 
     def __init__(self, accepted: Sequence[str], allowed: Sequence[str] = ()) -> None:
-        """`accepted`: the message types that are accepted. While nobody publishes, the first one is used. `allowed`:
-        the nodes that may publish. If there are none, all nodes may."""
+        """`accepted`: the message types that are accepted. The first one is used until a publisher offers another.
+        `allowed`: the nodes that may publish; empty to allow all nodes."""
         self._accepted = tuple(accepted)
         self._allowed = frozenset(name for name in allowed if name)
         self.publishers: tuple[Publisher, ...] = ()
@@ -159,7 +159,7 @@ class Commanders:
         self._nameless_ns = (self._nameless_ns or now_ns) if self._nameless() else None
 
     def counted(self, count: int, now_ns: int) -> None:
-        """Note how many publishers the graph has just shown. Call look() before, if wants_look() says so."""
+        """Note how many publishers the graph has just shown. If wants_look() is True, call look() before."""
         if count > 1 or (self._allowed and not all(self._allows(publisher.node) for publisher in self.publishers)):
             self._good_ns = None
         elif self._good_ns is None:
@@ -196,14 +196,14 @@ class Commanders:
         return node in self._allowed or node.rpartition("/")[2] in self._allowed
 
     def passes(self, received_ns: int) -> bool:
-        """True if a command may be passed on that DDS received at `received_ns` (CLOCK_MONOTONIC). From before that
-        time until now, the graph must have shown at most one publisher, and it must be an allowed one. Otherwise the
-        command may come from a node that has left meanwhile. Read the graph before you call this."""
+        """True if a command that DDS received at `received_ns` (CLOCK_MONOTONIC) may be passed on. Since before that
+        time, every look at the graph must have shown at most one publisher, which must be an allowed one. Otherwise the
+        command may come from a node that has left. Read the graph before you call this."""
         return self._good_ns is not None and self._good_ns < received_ns
 
     def holds(self, now_ns: int) -> bool:
-        """True if the bridge's interlock may be asserted: the graph was read recently, and at most one node
-        commands."""
+        """True if the bridge's interlock may be asserted: a recent look at the graph found at most one publisher, which
+        must be an allowed one."""
         return now_ns - self._counted_ns <= FRESH_NS and self._good_ns is not None
 
     def names(self) -> str:
@@ -211,8 +211,8 @@ class Commanders:
         return names(self.publishers)
 
     def wanted_type(self, now: str) -> str:
-        """The message type to subscribe to. This is the type that is offered, if it is accepted. If nobody publishes,
-        or if both types are offered, it stays the present type, `now`."""
+        """The message type to subscribe to: the accepted type that is offered. If none or several are offered, the
+        present type `now`."""
         offered = {publisher.type for publisher in self.publishers} & set(self._accepted)
         return offered.pop() if len(offered) == 1 else now if now in self._accepted else self._accepted[0]
 
@@ -222,8 +222,8 @@ class Commanders:
 
 
 def wrong_ends(topic: str, publishers: Sequence[Publisher], accepted: Sequence[str], *, reliable: bool) -> list[str]:
-    """Why publishers of a topic are never heard, one line for each. They publish another type, or they are best effort
-    although `reliable` is needed."""
+    """Why publishers of a topic are never heard, one line for each: a wrong type, or best effort although `reliable` is
+    needed."""
     found = []
     for node, kind, is_reliable in publishers:
         who = node or NAMELESS

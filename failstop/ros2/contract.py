@@ -32,8 +32,7 @@ LASTING = Qos(10, transient_local=True)
 
 
 class Topic(NamedTuple):
-    """One topic. `hz`: how often it is published per second, or 0 if it is published whenever there is something
-    new."""
+    """One topic. `hz`: how often it is published per second; 0 if only when there is something new."""
 
     name: str
     type: str

@@ -71,8 +71,8 @@ def _stop_layer(state: State) -> StatusMessage:
 
 
 def _wheels(state: State) -> StatusMessage:
-    """What is observed of the wheels. Measured numbers are values, not a part of the message, so that the message
-    changes only if something important does."""
+    """What is observed of the wheels. Measured numbers are only in the values, because each change of the message
+    counts as news."""
     doubt, unseen, known = verdict.doubt(state), verdict.unseen(state), state.turning
     level = ERROR if doubt else WARN if unseen and verdict.word(state) != verdict.TOLD_TO_STOP else OK
     message = f"{verdict.word(state)}: {doubt or unseen or seen.SEEN[seen.seen(state)]}"
@@ -142,7 +142,7 @@ def _rights(state: State) -> StatusMessage:
 
 
 def changed(before: Sequence[StatusMessage], now: Sequence[StatusMessage]) -> bool:
-    """True if anything but ages and counts has changed."""
+    """True if a name, level or message has changed. Values don't count."""
     return [(row["name"], row["level"], row["message"]) for row in before] != [
         (row["name"], row["level"], row["message"]) for row in now
     ]

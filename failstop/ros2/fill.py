@@ -21,8 +21,7 @@ def type_of(name: str) -> Any:
 
 
 def fill(message: Any, fields: Mapping[str, Any]) -> Any:
-    """Set the fields of a message, and return the message. A dictionary as a value sets the fields of a nested
-    message."""
+    """Set the fields of a message, and return the message. A dictionary sets the fields of a nested message."""
     for name, value in fields.items():
         if isinstance(value, dict):
             fill(getattr(message, name), value)

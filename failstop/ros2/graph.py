@@ -1,5 +1,5 @@
-"""Graph: reads from DDS who publishes cmd_vel, for both threads of the bridge, and requests a stop if this is not
-allowed."""
+"""Graph: reads from DDS who publishes cmd_vel, for both threads of the bridge, and requests a stop for a wrong
+publisher."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Graph:
         return publishers(self._node, topic)
 
     def ask(self, link: RobotLink, now_ns: int) -> None:
-        """Read who publishes cmd_vel. If a second node does, or a node that is not allowed, request a stop. This takes
-        about 20 us while nothing changes."""
+        """Read who publishes cmd_vel. Requests a stop if several nodes publish, or a node that is not allowed. This
+        takes about 20 us while nothing changes."""
         with self._lock:
             commanders = self.commanders
             count = self._count(self._topic)
@@ -47,8 +47,8 @@ class Graph:
 
 
 def _counter(node: Any, topic: str) -> Callable[[str], int]:
-    """The function that counts the publishers of a topic. It is an internal function of rclpy if that works, because
-    the node's own method expands and checks the topic's name at every call."""
+    """A function that counts a topic's publishers: rclpy's internal one if that works. The node's own method is slower,
+    because it expands and checks the topic's name at every call."""
     try:
         count: Callable[[str], int] = node.handle.get_count_publishers
         if isinstance(count(topic), int):
@@ -65,7 +65,7 @@ def publishers(node: Any, topic: str) -> list[Publisher]:
 
 
 def latch(node: Any, link: RobotLink, cause: str) -> None:
-    """Request a latched stop through the stop pipe, and log its cause."""
+    """Request a latched stop through the stop pipe. Logs the cause, and an error if there is nothing to stop."""
     try:
         link.stop(cause)
         node.get_logger().error(f"E-STOP: {cause}")

@@ -113,20 +113,20 @@ class Inward:
     # Commanders.
 
     def due_s(self) -> float:
-        """How long there is nothing to do, s."""
+        """How long until the watch must run, s."""
         return max(0, self._watch_ns - monotonic_ns()) / 1e9
 
     def turn(self) -> None:
-        """Run the watch if it is due. Call this after every turn of the spinner. It also runs a little early, after a
-        message, so that the thread need not wake up only for the watch."""
+        """Run the watch if it is due within EARLY_NS, so that the thread need not wake up only for the watch. Call this
+        after every turn of the spinner."""
         if (now_ns := monotonic_ns()) >= self._watch_ns - EARLY_NS:
             self._watch_ns = now_ns + WATCH_NS
             self._watch()
 
     def received(self, wall_ns: int, sent_ns: int) -> None:
-        """Note the times of the message that the next callback gets (wall clock, ns). `wall_ns`: when DDS received it.
-        `sent_ns`: when it was sent, by its publisher's clock. 0 if a time is not known. If this is never called, both
-        are 0."""
+        """Note when the message for the next callback was received by DDS (`wall_ns`), and when its publisher sent it
+        (`sent_ns`, by the publisher's clock). Both are wall clock times in ns; 0 if not known, or if this is never
+        called."""
         self._received_ns, self._sent_ns = wall_ns, sent_ns
 
     def _waited_ns(self) -> int:
@@ -134,8 +134,8 @@ class Inward:
         return waited_ns(self._received_ns, time_ns())
 
     def _watch(self) -> None:
-        """Assert the bridge's interlock, 20 times a second, and do everything else that is due from time to time. If
-        the executor hangs, this is not called, so the interlock expires."""
+        """Assert the bridge's interlock, and do everything else that is due from time to time. Runs at least 20 times a
+        second, unless the executor hangs. Then the interlock expires."""
         now_ns = monotonic_ns()
         self._adopt_run()
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
@@ -185,7 +185,7 @@ class Inward:
         self._asserts = f"interlocks.{CLIENT}.timeout_s" in settings
 
     def _say(self, now_ns: int) -> None:
-        """Report to the service what the bridge sees. This happens when it changes, and every second."""
+        """Report to the service what the bridge sees, at each change and every second."""
         scan, wrong = self._scan.says(now_ns)
         commanders = self._commanders
         names = commanders.names() if commanders.count else ""
@@ -227,8 +227,8 @@ class Inward:
             self._complain("service", f"cmd_vel moves nothing: {error}")
 
     def _latch_not_finite(self, now_ns: int) -> None:
-        """Request a stop because of a command with NaN or infinity. If the publisher's name is not known, the stop is
-        requested once more when it is."""
+        """Request a stop because of a command with NaN or infinity. If the publisher's name is not known yet, the watch
+        requests the stop once more with the name."""
         who = self._commanders.names()
         self._unnamed_ns = now_ns if causes.NOT_KNOWN in who else 0
         self._latch(reason(causes.ROS_NOT_FINITE, who))

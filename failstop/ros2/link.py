@@ -1,5 +1,5 @@
-"""Link: the bridge's connection to the service. It connects again after the service was restarted. Each thread has its
-own."""
+"""Link: the bridge's connection to the service, which survives a restart of the service. Each thread needs its own
+link."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ T = TypeVar("T")
 
 
 class RobotLink:
-    """A connection to the service, as a Robot of the API. It is made at the first call, and made again when it is
-    lost."""
+    """A connection to the service, as a Robot of the API. The first call connects, and a later call connects again
+    after a loss."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -40,8 +40,8 @@ class RobotLink:
         send_stop(self.name, given, CLIENT, row)
 
     def call(self, act: Callable[[Robot], T], *, at_once: bool = False) -> T:
-        """Call `act` with the robot. Raises FailstopError. If the service has ended, later calls look for a new one, at
-        most five times a second, or at every call that is `at_once`."""
+        """Call `act` with the robot. Raises FailstopError. After the connection was lost, calls try to connect again at
+        most five times a second. A call that is `at_once` always tries."""
         try:
             return act(self._connected(at_once=at_once))
         except (Refused, NoAnswer):
@@ -68,8 +68,8 @@ class RobotLink:
         return found
 
     def close(self, failed: BaseException | None = None) -> None:
-        """Close the connection. Everything that the bridge commanded ends at once. `failed`: the error that ends the
-        bridge, which then counts as a driver that has died."""
+        """Close the connection, which ends everything that was commanded through it. `failed`: the error that ends the
+        bridge. The bridge then counts as a driver that has died."""
         if self._robot:
             self._robot.__exit__(type(failed), failed, None)
             self._robot = None

@@ -1,8 +1,8 @@
 """Messages: turns samples and states into the fields of ROS messages, as plain values. Pure.
 
-Each kind of message has a constant part, which is set once in a message that is used again and again, and a part that
-changes. For kinds that are sent often, the changing part is numbers for the places of a stencil (stencil.py). Times are
-ROS times in ns.
+Each kind of message has a constant part and a changing part. The constant part is set once, in a message that is used
+again and again. For kinds that are sent often, the changing part is numbers for the places of a stencil (stencil.py).
+Times are ROS times in ns.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _stamped(ns: int) -> tuple[int, int]:
 
 def imu_constant(frame: str, rate_variance: float) -> Fields:
     """The fields that are the same in all Imu messages. The orientation is marked as missing, and the acceleration's
-    noise is left unknown."""
+    noise as unknown."""
     diagonal = [rate_variance if at % 4 == 0 else 0.0 for at in range(9)]
     return {
         "header": {"frame_id": frame},
@@ -81,8 +81,8 @@ def odometry_constant(frame: str, child: str) -> Fields:
 
 
 def odometry_covariances(sample: Odometry) -> Fields:
-    """The covariance of the twist, which is constant and comes from the service's settings. The pose's covariance
-    changes, so it is one of the stencil's places."""
+    """The constant covariances of Odometry messages: the twist's from the service's settings, and zeros for the pose's,
+    which a stencil fills in."""
     twist = [0.0] * 36
     twist[X] = twist[Y] = sample.twist_std_mps**2
     twist[YAW] = sample.twist_std_radps**2
@@ -140,8 +140,8 @@ JOINT_PLACES = ("header.stamp", "position", "velocity")
 
 
 class Wheels:
-    """The wheels as joints: how far each has turned, and how fast it turns. The board reports this, or else it is
-    computed from the commands. Positive turns forward."""
+    """The wheels as joints: how far each has turned, and how fast it turns (positive: forward). These come from the
+    board's reports if it sends any, otherwise from the commands."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
@@ -161,8 +161,8 @@ class Wheels:
         turning: snapshot.Turning | None = None,
     ) -> None:
         """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service, which means zero.
-        `steering_rad`: State.steering_rad. If it is None, a steered base keeps its angle. `turning`: State.turning. If
-        the board reports its wheels, only its reports are used, and after an old report the speed is NaN."""
+        `steering_rad`: State.steering_rad; None keeps the angle. `turning`: State.turning. If the board reports its
+        wheels, only the reports are used, and the speed is NaN after an old report."""
         if steering_rad is not None:
             self._steering_rad = {"steering": steering_rad}
         if not self._measured:
@@ -186,8 +186,8 @@ class Wheels:
             self._position_rad = list(turning.turned_rad)
 
     def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
-        """The names of the joints, and the changing values of a sensor_msgs/JointState. `arm`: State.arm. A joint that
-        was not read yet is left out. While a joint moves, its position is where it was sent."""
+        """The names of the joints, and the changing values of a sensor_msgs/JointState. `arm`: State.arm. A joint of
+        the arm that was not read yet is left out. While such a joint moves, its position is the commanded one."""
         joints = arm.joints if arm else {}
         at = {name: joint.at_rad for name, joint in joints.items() if joint.at_rad is not None}
         found = {**self._steering_rad, **at}

@@ -1,7 +1,7 @@
 """Mirrors: parameters of an earlier driver, which show the service's settings but can't change them. Pure.
 
-A setting must have only one place, which is the service's settings file. So a value from a launch file or a YAML file
-is not used, and a warning is logged if it differs from the setting.
+A setting can be changed only in the service's settings file. The bridge ignores values from launch and YAML files, and
+logs a warning if such a value differs from the setting.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ FIXED = "it is a fact of the robot, not a setting"
 
 
 class Mirror(NamedTuple):
-    """One parameter: its name, the settings that it shows, and the function that computes its value from them. If it
-    shows no settings, its value is fixed."""
+    """One parameter: its name, the keys of the settings that it shows, and the function that computes its value. A
+    parameter without keys has a fixed value."""
 
     name: str
     keys: tuple[str, ...]
@@ -98,7 +98,7 @@ def refusal(name: str) -> str:
 
 
 def differing(given: Mapping[str, object], shown: Mapping[str, ParameterValue]) -> list[str]:
-    """A warning for each parameter for which somebody has given a value that differs from the settings."""
+    """A warning for each given value that differs from the settings."""
     lines = []
     for name, value in given.items():
         if name in shown and not _equal(value, shown[name]):

@@ -1,7 +1,7 @@
-"""Outward: a thread that publishes what the service reports. It also watches for nodes that publish cmd_vel but are
-silent.
+"""Outward: a thread that publishes what the service reports. The thread also requests a stop if a second or a forbidden
+node publishes cmd_vel, even a silent one.
 
-This thread sleeps between its turns instead of waiting for messages, because sleeping costs less.
+The thread sleeps between its turns, because waiting for messages costs more.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ class Outward:
         self._wheels.update(None, monotonic_ns())
 
     def _publish_changes(self, now_ns: int, *, due: bool = False) -> None:
-        """Publish what depends on the state. If `due`, everything is published, otherwise only what must not wait."""
+        """Publish what depends on the state. Without `due`, publish only a changed ~/emergency_stop."""
         self._asked = self._shared.asked
         state = self._state()
         if state:
@@ -259,8 +259,8 @@ class Outward:
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
     def _publish_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
-        """Publish a new reading once, with the time at which it was read. If the battery is no longer reported, publish
-        that too, because subscribers would otherwise keep the last voltage."""
+        """Publish each new reading once, with the time at which it was read. With `slow`, also publish that the battery
+        is no longer reported. Otherwise subscribers would keep the last voltage."""
         self._battery_seen = True
         if not state.battery_v or not state.is_current(state.ages.battery_s):
             if slow:

@@ -1,7 +1,7 @@
-"""A node that publishes cmd_vel or a scan again and again, for the demo and the bench. Usage: `python -m
-failstop.ros2.publisher NODE VX [HZ]`. If VX is the word scan, it publishes scans.
+"""A node that publishes cmd_vel or a scan until SIGTERM, for the demo and the bench.
 
-It prints when its publisher was made (CLOCK_MONOTONIC, ns), then publishes until SIGTERM, and exits cleanly.
+Usage: `python -m failstop.ros2.publisher NODE VX [HZ]`. VX is a speed in m/s, or the word scan. The program prints when
+its publisher was made (CLOCK_MONOTONIC, ns), and exits cleanly after SIGTERM.
 """
 
 from __future__ import annotations

@@ -152,7 +152,7 @@ def without_service(problem: str) -> dict[str, Any]:
 
 
 def status(state: State) -> dict[str, Any]:
-    """The fields of a failstop_msgs/Status except for its stamp. A value that is not known is NaN or empty."""
+    """The fields of a failstop_msgs/Status without its stamp. Unknown values are NaN or empty."""
     stop = state.last_stop
     return {
         "enabled": state.enabled,
@@ -190,7 +190,7 @@ def _times(value: float | None, factor: float) -> float | None:
 
 
 def latched(state: State | None) -> bool:
-    """The value of ~/emergency_stop. It is True without a state, because a stop may be latched then."""
+    """The value of ~/emergency_stop. Without a state it is True, because a stop may be latched."""
     return state is None or state.estop is not None
 
 
@@ -200,9 +200,9 @@ def says(names: str, scan: str) -> str:
 
 
 def proof(before: State | None, now: State | None, *, final: bool = False) -> tuple[bool, str] | None:
-    """Whether the requested stop was written to the board. Returns (True if it is known to be written, what is known
-    about it), or None while more may become known. `before`: the state before the request. `now`: the present state.
-    With `final`, nothing more is waited for, so the result is not None."""
+    """Whether the requested stop was written to the board. Returns (True if it is known to be written, what is known),
+    or None while more may become known. `before`: the state before the request. `now`: the present state. With `final`,
+    the result is never None."""
     stop = now.last_stop if now else None
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
         return (False, "the stop was requested, but the service has not confirmed it yet") if final else None

@@ -30,7 +30,7 @@ class ScanWatch:
         self._publishers = tuple(publishers)
 
     def says(self, now_ns: int) -> tuple[str, list[str]]:
-        """Returns (what is seen, a list of what is wrong)."""
+        """Returns (what is seen, a list of problems)."""
         if wrong := wrong_ends(SCAN.name, self._publishers, (SCAN.type,), reliable=False):
             return "scan of another type", wrong
         if not self._publishers:
@@ -44,15 +44,15 @@ class ScanWatch:
 
 
 class ScanLog:
-    """Makes the lines that an earlier driver logged: one when a missing scan stops the wheels, and one when the wheels
-    may turn again."""
+    """Makes two log lines of an earlier driver: one when a missing scan stops the wheels, and one when the scan is
+    back."""
 
     def __init__(self, now_ns: int) -> None:
         self._begun_ns = now_ns
         self._held = False
 
     def update(self, blocked: str | None, scan_age_s: float | None, timeout_s: float, now_ns: int) -> str:
-        """The line to log now, or "". The gate blocks with the reason `no scan` only while somebody commands."""
+        """The line to log now, or "". `blocked`: the gate's reason, which is NO_SCAN only while somebody commands."""
         if blocked == NO_SCAN:
             if self._held:
                 return ""

@@ -1,5 +1,4 @@
-"""Shared: what the bridge's two threads tell each other. Each field is written by one thread only, which replaces it as
-a whole."""
+"""Shared: what the bridge's two threads tell each other. Every field is replaced as a whole."""
 
 from __future__ import annotations
 
@@ -11,8 +10,8 @@ from failstop.ros2.mirrors import RobotSettings
 
 @dataclasses.dataclass
 class Shared:
-    """The thread that publishes writes state, problem, settings, run and failed. The thread that spins the node writes
-    the other fields."""
+    """The thread that publishes writes state, problem, settings, run and failed. Both threads write ending. The thread
+    that spins the node writes the other fields."""
 
     state: State | None = None
     problem: str = "the bridge is starting"

@@ -1,13 +1,13 @@
 """Spinner: waits for messages and calls the node's callbacks, in one thread. It does what rclpy's executor does, but
 faster.
 
-rclpy's executor makes a wait set, a task and a coroutine for each message, and asks every entity of the node twice,
-which takes 0.7 ms per message. This spinner keeps its wait set and reads messages itself. Services, actions, and
-callbacks that await something are still handled by rclpy's executor.
+rclpy's executor takes 0.7 ms per message. It makes a wait set, a task and a coroutine for each message, and asks every
+entity of the node twice. This spinner keeps its wait set and reads messages itself. rclpy's executor still handles
+services, actions, and callbacks that await something.
 
-For this, the spinner uses names that rclpy may change in any release: the executor's tasks and its wake(), which is
-replaced; WaitSet of rclpy.impl; the node's guards, waitables and context.handle; three methods of a waitable; and an
-entity's handle, its pointer and take_message(). If one of them is missing or behaves differently, the spinner logs it
+The spinner uses names that rclpy may change in any release: the executor's tasks and its wake(), which is replaced;
+WaitSet of rclpy.impl; the node's guards, waitables and context.handle; three methods of a waitable; and an entity's
+handle, its pointer and take_message(). If one of these names is missing or behaves differently, the spinner logs it
 once and lets rclpy's executor do everything. This is slower, but nothing is lost.
 """
 
@@ -26,8 +26,8 @@ MOST_AT_ONCE = 10
 COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_clients", "num_services")
 """The kinds of entities in a wait set, in its order. Events come last."""
 PENDING = ("_pending_tasks", "_tasks")
-"""The attributes in which an executor keeps its tasks. Since rclpy #1469 (Humble 3.3.21, Jazzy 7.1.9, Lyrical) it is
-the first one, a mapping with the tasks as keys. Older versions have the second one, a list of (task, entity, node)."""
+"""The attributes in which an executor may keep its tasks. `_pending_tasks` is a mapping with the tasks as keys (since
+rclpy #1469: Humble 3.3.21, Jazzy 7.1.9, Lyrical). `_tasks` is a list of (task, entity, node), in older versions."""
 OTHERWISE = (ImportError, AttributeError, TypeError, ValueError, LookupError)
 """The errors that show that a part of rclpy has changed."""
 
@@ -37,8 +37,8 @@ class Spinner:
 
     def __init__(self, node: Any, received: Callable[[int, int], None]) -> None:
         """`received(received_ns, sent_ns)` is called before each callback, with the two times of its message (wall
-        clock, ns). It is called with zeros after the callback, because the times are not known for callbacks that
-        rclpy's executor calls."""
+        clock, ns), and with zeros after it. Zeros mean that the times are not known, as in callbacks that rclpy's
+        executor calls."""
         from rclpy.executors import SingleThreadedExecutor
 
         self._node = node
@@ -84,8 +84,7 @@ class Spinner:
         self._stale = True
 
     def _awaited(self) -> bool:
-        """True if a callback awaits something. Raises AttributeError if the executor keeps its tasks in another
-        attribute."""
+        """True if a callback awaits something. Raises AttributeError if the executor has none of PENDING."""
         executor = self._executor
         for name in PENDING:
             # Look it up each time, because an older executor replaces its list.
@@ -141,8 +140,9 @@ class Spinner:
             self._executor.spin_once(timeout_sec=0)
 
     def _wait(self, timeout_s: float) -> tuple[list[Any], bool]:
-        """Wait. Returns the subscriptions that have messages, and True if rclpy's executor has something to do. It
-        calls no code of the bridge, so an error here comes from rclpy. Raises one of OTHERWISE."""
+        """Wait for at most `timeout_s`. Returns the subscriptions that have messages, and True if rclpy's executor has
+        something to do. Raises one of OTHERWISE. Call no code of the bridge here, because turn() treats these errors as
+        a change in rclpy."""
         if self._stale:
             self._build()
         awaited = self._awaited()
@@ -166,8 +166,7 @@ class Spinner:
         )
 
     def _receive(self, subscription: Any) -> None:
-        """Read the subscription's waiting messages and call its callback. It reads at most MOST_AT_ONCE, because other
-        subscriptions wait too."""
+        """Read up to MOST_AT_ONCE waiting messages of the subscription, and call its callback for each."""
         for _ in range(MOST_AT_ONCE):
             if self.plain:
                 return
@@ -199,8 +198,8 @@ def _tasks(found: Any) -> Iterable[Any]:
 
 
 def _message(found: Any) -> tuple[Any, tuple[int, int] | None]:
-    """Split what take_message() returned into the message and (time received, time sent). The times are None if they
-    can't be read. The message is returned even then, because it is no longer in its queue, and it may be a stop."""
+    """Split the result of take_message() into the message and (time received, time sent). The times are None if they
+    can't be read. Always return the message, because it has left its queue and may be a stop."""
     message, *about = found if isinstance(found, tuple) else (found,)
     try:
         return message, (int(about[0]["received_timestamp"]), int(about[0].get("source_timestamp", 0)))
@@ -209,5 +208,5 @@ def _message(found: Any) -> tuple[Any, tuple[int, int] | None]:
 
 
 def _more_than_events(count: Any) -> bool:
-    """True if the count has anything but events."""
+    """True if the count includes entities other than events."""
     return any(getattr(count, name) for name in COUNTS)

@@ -43,7 +43,7 @@ class StageProcess:
         self.end()
 
     def line(self) -> str:
-        """The next line that the process prints. Empty if it has ended."""
+        """The next line that the process prints. Empty if the process has ended."""
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 
@@ -52,7 +52,8 @@ class StageProcess:
         os.kill(self.process.pid, number)
 
     def end(self) -> None:
-        """Send SIGTERM, and wait until the process has ended."""
+        """Send SIGTERM, then SIGKILL if the process is still running after END_S. Returns when the process has
+        ended."""
         if self.process.poll() is None:
             self.kill(signal.SIGCONT)
             self.kill(signal.SIGTERM)

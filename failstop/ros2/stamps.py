@@ -1,5 +1,5 @@
-"""Stamps: finds out how old messages are by their own stamps, and which nodes have a clock that disagrees with this
-computer's. Pure."""
+"""Stamps: finds out how old messages are by their stamps, and which nodes' clocks disagree with this computer's.
+Pure."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class Stamps:
     """Judges messages by their stamps, and remembers the problems of each topic."""
 
     def __init__(self, ros_ns: Callable[[], int]) -> None:
-        """`ros_ns`: returns ROS's present time, which may be a simulator's. 0 if ROS has no time."""
+        """`ros_ns` returns ROS's present time, ns, which may be a simulator's. 0 if ROS has no time."""
         self._ros_ns = ros_ns
         self._troubles: dict[str, Trouble] = {}
 
     def late(self, topic: str, who: str, stamp: Any, most_s: float, now_ns: int) -> str:
-        """Why a message is refused because of its stamp, or "" if it is not. `stamp`: a builtin_interfaces/Time, and
-        zero counts as now. `most_s`: the highest allowed age. A stamp from the future is not refused, but it is
-        remembered as a problem."""
+        """Why a message is refused because of its stamp, or "". `stamp`: a builtin_interfaces/Time. A zero stamp counts
+        as now. `most_s`: the highest allowed age. Without a ROS time, every other stamp is refused. A stamp from the
+        future is only remembered as a problem."""
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if not stamp_ns:
             return ""
@@ -52,8 +52,8 @@ class Stamps:
         return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); {AGREE}" if age_s > 0 else ""
 
     def _note(self, topic: str, who: str, age_s: float, now_ns: int) -> None:
-        """Remember a problem. Its text stays the same while the age is about the same, because each change of the text
-        is logged as an event."""
+        """Remember a problem. Small changes of the age don't change its text, because each new text is logged as an
+        event."""
         before = self._troubles.get(topic)
         fresh = before and before.who == who and now_ns - before.seen_ns <= TOLD_NS
         if before and fresh and abs(age_s - before.age_s) < 0.1 + abs(before.age_s) / 4:

@@ -1,9 +1,8 @@
 """Stencil: a message that is published again and again, while only a few of its numbers change.
 
-The message is kept as serialized bytes, and new numbers are written into these bytes, because rclpy takes 0.1 ms to
-serialize a message. To find where the numbers are in the bytes, the message is serialized once with numbers that occur
-nowhere else. If ROS can't serialize it, or if the numbers are not found, the message object itself is changed and
-published.
+rclpy takes 0.1 ms to serialize a message, so a stencil serializes the message once and then writes new numbers into the
+bytes. To find the places in the bytes, the message is serialized with numbers that occur nowhere else. If ROS can't
+serialize the message, or if the numbers are not found, the message object itself is changed and published.
 """
 
 from __future__ import annotations
@@ -63,7 +62,8 @@ class Stencil:
         _put(*_field(self._message, place), iter(values))
 
     def filled(self, values: Values) -> Any:
-        """The message to publish, with these numbers at the places, in their order. It is bytes or a message object."""
+        """The message to publish, as bytes or as a message object. `values`: the numbers for each place, in the order
+        of the places."""
         if self._bytes:
             for (write, at), numbers in zip(self._writes, values, strict=True):
                 write(self._bytes, at, *numbers)

@@ -1,9 +1,9 @@
 """Trajectory: the action FollowJointTrajectory, for planners such as MoveIt. It is offered if this ROS has the package
 control_msgs.
 
-A goal is accepted once the gate has accepted it. If the gate refuses it, the goal is rejected, and the gate's reason is
-logged, because a rejection in ROS has no text. Only the positions and times of a goal are used. Its velocities,
-accelerations and tolerances are not, because the service's settings limit these.
+A goal is accepted when the gate accepts it. If the gate refuses a goal, the gate's reason is logged, because a
+rejection in ROS has no text. Only the positions and times of a goal are used. Its velocities, accelerations and
+tolerances are ignored, because the service's settings limit these.
 """
 
 from __future__ import annotations
@@ -59,8 +59,7 @@ def way(trajectory: Any) -> Way:
 
 
 def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], list[float]]:
-    """For each joint, the position that is commanded now, and the position that was last read. NaN if it is not
-    known."""
+    """For each joint, the commanded angle and the angle that was last read, rad. NaN if an angle is not known."""
     joints = [arm.joints.get(name) if arm else None for name in names]
     return (
         [nan if joint is None or joint.commanded_rad is None else joint.commanded_rad for joint in joints],
@@ -69,9 +68,8 @@ def positions(names: Sequence[str], arm: ArmState | None) -> tuple[list[float], 
 
 
 class Feedback:
-    """The publisher of the action's feedback, instead of the one in rclpy's action server. It can tell whether every
-    receiver has acknowledged the feedback. It keeps one message only, so that DDS asks for the acknowledgement at
-    once."""
+    """Publishes the action's feedback, instead of rclpy's action server, and finds out whether every receiver has
+    acknowledged it. The publisher keeps only one message, so that DDS asks for the acknowledgement at once."""
 
     def __init__(self, node: Any, kind: Any) -> None:
         """Raises FailstopError if this ROS can't tell what was acknowledged."""
@@ -97,7 +95,7 @@ class Feedback:
         return bool(self._publisher.wait_for_all_acked(self._at_once))
 
     def send(self, handle: Any, names: list[str], state: State | None) -> None:
-        """Publish where the goal's joints must be, and where they are."""
+        """Publish the commanded and the last read positions of the goal's joints."""
         desired, actual = positions(names, state.arm if state else None)
         error = [wanted - there for wanted, there in zip(desired, actual, strict=True)]
         places = {"desired": desired, "actual": actual, "error": error}
@@ -121,9 +119,9 @@ class TrajectoryFace:
         hold: Callable[[], None],
         timeout_s: Callable[[], float],
     ) -> None:
-        """`go` asks the gate to follow a path, and calls its second argument with the gate's progress. `hold` holds the
-        arm, if the path still moves it. `timeout_s` returns how long a client may be silent, s. Raises FailstopError if
-        this ROS does not have the action."""
+        """`go(path, told)` asks the gate to follow a path, and calls `told` with the gate's progress. `hold()` holds
+        the arm, if the path still moves it. `timeout_s()` returns how long a client may be silent, s. Raises
+        FailstopError if this ROS does not have the action, or can't tell what was acknowledged."""
         self._kind = type_of(ARM_ACTION.type)
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
@@ -146,7 +144,7 @@ class TrajectoryFace:
         )
 
     async def _asked(self, goal: Any) -> Any:
-        """Decide about a goal. The gate's answer is the decision."""
+        """Accept or reject a goal, as the gate decides."""
         taken = threading.Event()
         try:
             await self._settle()
@@ -167,9 +165,9 @@ class TrajectoryFace:
         return self._cancelling
 
     async def _settle(self) -> None:
-        """Wait until all clients of earlier goals have acknowledged their feedback. Raises Refused if one does not,
-        which means that it is dead or suspended. While DDS still lists it, nobody could watch the client of a new
-        goal."""
+        """Wait until all clients of earlier goals have acknowledged their feedback. Raises Refused after SETTLED_NS.
+        The silent client is then dead or suspended. While DDS lists such a client, the client of a new goal can't be
+        watched."""
         until_ns = monotonic_ns() + SETTLED_NS
         while not self._feedback.acknowledged():
             if monotonic_ns() > until_ns:

@@ -30,10 +30,10 @@ def udp_alone(environment: MutableMapping[str, str]) -> None:
     """Make Fast DDS use UDP instead of its shared memory, unless the user has set a profile.
 
     Shared memory can make the bridge deaf. After a kill, the next bridge may listen at a port whose file the other
-    nodes have just replaced, and then it hears none of them.
+    nodes have just replaced. The bridge then hears none of these nodes.
 
-    If the user wants localhost and further hosts (PEERS), nothing is changed, because no profile can say both. ROS's
-    own way of doing this uses shared memory, and `failstop doctor` then reports it.
+    Nothing is changed if the user wants localhost and further hosts (PEERS), because no profile can say both. ROS then
+    uses shared memory, and `failstop doctor` reports it.
     """
     if environment.get("RMW_IMPLEMENTATION", "") not in IMPLEMENTATIONS or own_profile(environment):
         return

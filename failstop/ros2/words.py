@@ -25,15 +25,13 @@ _ASKED: deque[Cause] = deque(maxlen=64)
 
 
 def asked(given: str, row: str = "") -> None:
-    """Remember a stop that this bridge requests. `given`: the text of the request. `row`: the kind of its cause. Anyone
-    can use the bridge's name in a stop request, so only this memory shows whether a stop was requested by the
-    bridge."""
+    """Remember a stop that this bridge requests. `given`: the text of the request. `row`: the kind of its cause. Only
+    this memory shows whether the bridge requested a stop, because anyone can use the bridge's name."""
     _ASKED.append(causes.requested(records.asking(given, CLIENT, os.getpid(), row).rstrip()))
 
 
 def plain(cause: Cause | None) -> str:
-    """A cause in words, or "" for None. If this bridge requested the stop, these are only the words of the earlier
-    driver."""
+    """A cause in words, or "" for None. A stop that this bridge requested has only the earlier driver's words."""
     if cause and cause in _ASKED:
         return causes.bare(cause)
     return str(cause or "")

@@ -1,5 +1,5 @@
-"""Boards: finds out which board is connected to a port, and shows what the board reports. First of all it sends the
-board a stop. It never turns a wheel."""
+"""Boards: sends the board a stop, finds out which board is connected to a port, and shows what the board reports. No
+wheel turns."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """Find out which board it is. This is the second step of the setup. Returns the kind of the board, and those of its
-    settings that differ from the defaults (baud rate, CAN id). Raises Left."""
+    """Find out which board it is, as the second step of the setup. Returns the kind of the board, and its settings that
+    differ from the defaults (baud rate, CAN id). Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
@@ -88,8 +88,8 @@ def _has_can(kind: str) -> bool:
 
 
 def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
-    """Ask a person for the CAN id of the second motor's controller, because no controller answered at the usual id.
-    Returns the setting with that id, or nothing if the robot has only one motor. Raises Left, OSError."""
+    """Ask a person for the CAN id of the second motor's controller, which does not answer at the usual id. Returns the
+    setting, or nothing if the robot has only one motor. Raises Left, OSError."""
     talk.say(f"The controller at the port answers, but no second one answers at CAN id {USUAL_CAN_ID}.")
     question = f"What is the CAN id of the second one? (VESC Tool shows it; {NONE}: there is only one motor)"
     answer = talk.ask("can_id", question, "", can_id_check)

@@ -71,8 +71,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Hold the whole conversation. Returns the exit code. Raises Left, whose text says what is wrong and what to do
-    next."""
+    """Hold the whole conversation. Returns the exit code. Raises Left with a text that says what is wrong and what to
+    do next."""
     draft = Draft(instance.check_name(arguments.name), os.environ)
     if arguments.afresh:
         draft.forget()
@@ -96,8 +96,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
-    """Go through the six steps. As soon as the board is known, a Halt for it is appended to `halts`, so that the caller
-    can report how the newest stop of the wheels went."""
+    """Go through the six steps. The board's Halt is appended to `halts` once the board is known, so that the caller can
+    report how the newest stop went."""
     style.show([[("failstop setup", style.STRONG), (": set up a robot and test its stops, in six steps", style.PLAIN)]])
     talk.say("Ctrl-C stops the wheels and quits, and keeps your answers. You see the settings before they are written.")
     _resume(talk)
@@ -129,8 +129,8 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
 
 
 def _resume(talk: Talk) -> None:
-    """If an earlier setup was left early, show its answers, and ask whether to continue with them. If the person says
-    no, delete them."""
+    """Show the answers of a setup that was left early, and ask whether to continue with them. After a no, delete the
+    answers. Without a terminal, keep them."""
     answers = talk.draft.answers
     if not answers:
         return
@@ -149,8 +149,8 @@ def layouts_of(kind: str) -> list[str]:
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """Ask the person which robot it is. `kind`: the kind of its board. If setup does not know the robot, ask for its
-    layout. Returns the robot's name, its known settings, and True if its sizes are among them."""
+    """Ask which robot it is, or for its layout if setup does not know the robot. `kind`: the kind of its board. Returns
+    the robot's name, its known settings, and True if its sizes are among them."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER

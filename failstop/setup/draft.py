@@ -1,5 +1,4 @@
-"""Draft: the answers that a person has given to the setup's questions so far. The answers are saved in a file until the
-setup is complete."""
+"""Draft: the answers to the setup's questions so far, in a file that is deleted when the setup is complete."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ MOST_BYTES = 65536
 
 
 class Draft:
-    """Keeps the answers, each under the key of its question. An answer is saved before the next question is asked."""
+    """Keeps the answers, each under the key of its question. Each answer is saved at once."""
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
         """Reads the answers of an earlier setup, if there are any. `name`: the name of the service."""

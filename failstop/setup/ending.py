@@ -1,5 +1,5 @@
-"""Ending: makes sure that a program which turns wheels through its own service stops them before it exits, even if a
-signal ends the program. Setup uses this module, and so do the programs of the laboratory."""
+"""Ending: makes sure that a program which turns wheels through its own service stops them before a signal ends it.
+Setup and the programs of the laboratory use this module."""
 
 from __future__ import annotations
 
@@ -33,8 +33,7 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within this context, SIGINT, SIGTERM and SIGHUP are ignored. Use it around the cleanup: if a signal interrupted
-    the cleanup, the wheels might keep turning."""
+    """Within this context, SIGINT, SIGTERM and SIGHUP are ignored. Use it around the cleanup that stops the wheels."""
     held = {number: signal.getsignal(number) for number in SIGNALS}
     for number in held:
         signal.signal(number, signal.SIG_IGN)
@@ -64,9 +63,8 @@ def noted() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def arrivals() -> Iterator[int]:
-    """Within this context, the yielded descriptor becomes readable when a signal arrives. Wait for it together with
-    your input. With a plain read() of the input, a signal that arrives just before the read() would be handled only
-    when the read() returns."""
+    """Yield a descriptor that becomes readable when a signal arrives. Wait for it together with your input. A signal
+    that arrives just before a plain read() would be handled only when the read() returns."""
     reads, writes = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     before = signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
     try:

@@ -66,8 +66,8 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
     """Run the short stand test with these settings, as the sixth step of the setup. Returns the evidence of the test,
-    or an empty dict if no test was made. If a signal such as Ctrl-C ends the test, `halt` stops the wheels, and
-    KeyboardInterrupt is raised."""
+    or an empty dict if no test was made. Raises Left if nobody can be asked. If a signal such as Ctrl-C ends the test,
+    `halt` stops the wheels, and KeyboardInterrupt is raised."""
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
@@ -107,9 +107,8 @@ def _run(words: list[str], said: str | None) -> tuple[int, bool]:
     """Run a command, write `said` to its input, and wait until it exits. Returns the command's exit code, and True if a
     signal has arrived. After a signal, the caller must exit too.
 
-    The command stops the wheels before it exits, so this function waits for it. Ctrl-C reaches the command directly
-    from the terminal. This function passes on every other signal as SIGTERM. After GIVES_UP signals, it kills the
-    command, which seems to hang.
+    Ctrl-C reaches the command directly from the terminal. Every other signal is passed on as SIGTERM. The command stops
+    the wheels before it exits, so it is killed only after GIVES_UP signals.
     """
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
@@ -140,8 +139,7 @@ def _runs(folder: str) -> set[str]:
 
 
 def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
-    """Return the text of the settings file: a head that names the robot and the result of its stand test, then the
-    settings."""
+    """Return the text of the settings file. Its head names the robot and the result of the stand test."""
     day = time.strftime("%Y-%m-%d")
     proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
     head = f"# {robot}. Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
@@ -150,8 +148,7 @@ def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) 
 
 
 def write(talk: Talk, made: str, name: str) -> str:
-    """Show the settings, ask for the path of a file, and write the settings to that file. Returns the path. Raises
-    Left."""
+    """Show the settings, ask for a path, and write the settings there. Returns the path. Raises Left."""
     style.show([[], [("The settings", style.STRONG)]])
     style.show([[(f"   {line}", style.PLAIN)] for line in made.splitlines()])
     style.show([[]])
@@ -190,16 +187,16 @@ def write(talk: Talk, made: str, name: str) -> str:
 
 
 def _replace(answer: str) -> str:
-    """Check the answer to the question whether an existing file may be replaced. The person must type the whole word
-    "replace", because "yes" is typed too easily. Raises NotAnAnswer."""
+    """Check the answer to the question whether a file may be replaced. Only the whole word "replace" allows it, because
+    "yes" is typed too easily. Raises NotAnAnswer."""
     if answer.strip() not in (REPLACE, NO):
         raise NotAnAnswer(f"type the whole word {REPLACE}, or {NO}")
     return answer.strip()
 
 
 def _keep(path: str) -> str:
-    """Keep a file that is about to be replaced, by giving it a second name: FILE.old, or the first FILE.old.N that is
-    free. Returns the second name. Raises OSError."""
+    """Give a file a second name before it is replaced: FILE.old, or the first FILE.old.N that is free. Returns the
+    second name. Raises OSError."""
     for number in itertools.count(1):
         kept = f"{path}.old" if number == 1 else f"{path}.old.{number}"
         with contextlib.suppress(FileExistsError):
@@ -227,8 +224,8 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
 def closing(
     talk: Talk, path: str, name: str, evidence: Mapping[str, Any], settings: Mapping[str, object] | None = None
 ) -> None:
-    """Print the summary: what is proved, what is not proved, and the commands to type next. With `settings`, also show
-    how to use the guard port, if failstop has one for this board."""
+    """Print the summary: what is proved, what is not, and the commands to type next. With `settings`, also show how to
+    use the guard port, if failstop has one for this board."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
@@ -272,14 +269,13 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 def _prove(path: str, name: str) -> str:
     """Return the command that tests this robot on its stand. The command names the settings file `path`, unless this is
-    the installed file, which the command uses by default."""
+    the installed file."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 
 
 def commands(path: str, name: str) -> list[str]:
-    """Return the commands that start the service, enable motion, and drive the robot. The person types them after the
-    setup."""
+    """Return the commands to type after the setup: start the service, enable motion, and drive the robot."""
     installed = config.installed(name)
     where = option(name)
     start = f"sudo systemctl enable --now {unit_of(name).removesuffix('.service')}"

@@ -1,8 +1,8 @@
 """Halt: stops the wheels without a service, and finds out whether they have stopped. A program that turns wheels
 through its own service uses this module after the service has ended.
 
-It writes the board's stop directly to the port. Then it asks the board whether the stop has arrived, and reads what the
-board reports about its wheels. If the port is unplugged, it tells the person, waits, and writes the stop as soon as the
+Halt writes the board's stop directly to the port. Then it asks the board whether the stop has arrived, and reads the
+board's reports about its wheels. If the port is unplugged, Halt tells the person, and writes the stop as soon as the
 port is back.
 """
 
@@ -63,8 +63,7 @@ class Halt:
 
     def now(self, waits_s: float = WAITS_S) -> Halted:
         """Stop the wheels, and find out whether they have stopped. Raises nothing; the result describes each failure.
-        If the port is unplugged, wait up to `waits_s` until it is back. Ctrl-C, SIGTERM and SIGHUP end this waiting,
-        but nothing else."""
+        If the port is unplugged, wait for it up to `waits_s`. Ctrl-C, SIGTERM and SIGHUP end only this waiting."""
         with noted() as signals:
             self.last = self._stop(waits_s, signals)
         return self.last
@@ -92,9 +91,9 @@ class Halt:
             time.sleep(RETRY_S)
 
     def _asked(self) -> Halted:
-        """Ask the board whether the stop has arrived. If this board can't tell, write the stop a few more times
-        instead. Then wait until the board reports wheels at rest, if it reports about them. Raises PortError, or
-        OSError if the port disappears meanwhile."""
+        """Ask the board whether the stop has arrived. A board that can't tell gets the stop a few more times instead.
+        Then wait for reports of wheels at rest, unless the board is silent or never reports wheels. Raises PortError,
+        or OSError if the port disappears meanwhile."""
         board = self._board
         confirms = bool(board.pings)  # other boards report zero speed even if they never heard the stop
         fd = open_port(self._path, exclusive=False, line=board.port)
@@ -110,8 +109,8 @@ class Halt:
         return Halted(self._path, written=True, confirms=confirms, confirmed=confirmed, still=still)
 
     def _confirmed(self, tap: Tap) -> bool:
-        """Ask the board a question after the stop, and repeat the stop and the question until the board answers.
-        Returns False if it has not answered within CONFIRMS_S."""
+        """Repeat the stop and a question until the board answers. Returns False if the board has not answered within
+        CONFIRMS_S."""
         deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
         hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:

@@ -1,7 +1,7 @@
 """Leftovers: cleans up after killed services that had one-time names, such as `setup-4711`.
 
-Usually a service that is started again removes what its last run has left behind. But nobody starts `setup-4711` again.
-So a program that starts a service with a one-time name first removes what killed services with such names have left
+A service that is started again removes what its last run has left behind, but nobody starts `setup-4711` again. Call
+remove_ended() before you start a service with a one-time name. This function removes what such services have left
 behind: shared memory, the runtime folder, and the folder that folder() has made.
 """
 
@@ -32,9 +32,8 @@ def remove(name: str) -> None:
 
 
 def remove_ended(prefix: str) -> None:
-    """Clean up after this user's services whose names consist of `prefix` and a process id, for example `setup-4711`.
-    If both the service and the process with this id have ended, everything that the service has left behind is removed.
-    """
+    """Remove what this user's ended services have left behind, if their names consist of `prefix` and a process id, for
+    example `setup-4711`. A service is left alone while the service or the process with this id is running."""
     names = {name.removeprefix("failstop.").partition(".")[0] for name in _listed(segments.SHM, "failstop.")}
     for base in instance.bases():
         names.update(_listed(base, prefix))

@@ -1,5 +1,4 @@
-"""Ports: finds the board's port. If something keeps this user from using the port, it shows the reason and the
-remedy."""
+"""Ports: finds the board's port, and shows what keeps this user from using it, with the remedies."""
 
 from __future__ import annotations
 
@@ -51,12 +50,11 @@ def nodes() -> set[str]:
 
 
 def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
-    """Return a path for the port that stays the same when the board is plugged in again. If the port has no stable
-    path, this returns `path` itself.
+    """Return a path for the port that stays the same when the board is plugged in again, or `path` itself if there is
+    none.
 
-    One possible path comes from failstop's udev rule, which makes it from the port's chip. Another is in the folder
-    by-id, and is made from what the device reports about itself. A second device of the same kind could get these
-    paths. So such a path is returned only if no other device could get it.
+    This is failstop's udev link, else a link in by-id, else a link in by-path. The udev link is not used if another
+    port has the same vendor and product. A link in by-id is not used if failstop can't tell such ports apart.
     """
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)
@@ -69,8 +67,8 @@ def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
 
 
 def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float = COMES_S) -> str:
-    """Find the board's port by unplugging the board. Returns the port that comes back when the board is plugged in
-    again. Raises Left if not exactly one port disappears, or if none comes back."""
+    """Find the board's port by letting a person unplug the board and plug it in again. Returns the port that comes
+    back. Raises Left if not exactly one port disappears, or if none comes back."""
     before = set(look())
     talk.ask("unplugged", "Pull the board's USB cable now, then press Enter.", "done", keep=False)
     gone = before - set(look())
@@ -89,8 +87,8 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
 
 
 def is_serial(path: str) -> bool:
-    """Return True if the kernel lists the device as a serial port. Also True for a pseudo-terminal, because sysfs does
-    not list pseudo-terminals."""
+    """Return True if the kernel lists the device as a serial port. Also True for a pseudo-terminal, which sysfs does
+    not list."""
     number = os.stat(path).st_rdev
     subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
     return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
@@ -143,8 +141,8 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """Return the reasons why the serial pins of a Raspberry Pi can't be used as a port, with the remedies. The list is
-    empty if the pins can be used, or if this computer is not a Raspberry Pi."""
+    """Return why the serial pins of a Raspberry Pi can't be used as a port, with the remedies. Empty if they can be
+    used, or on another computer."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
         advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
@@ -153,8 +151,8 @@ def pins(system: System) -> list[Finding]:
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """Return the reasons why failstop can't open this port, or must share it with another program. The list is empty if
-    failstop can use the port alone."""
+    """Return why failstop can't open this port, or must share it with another program. Empty if failstop can use the
+    port alone."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
@@ -167,8 +165,7 @@ def _say(talk: Talk, row: Finding) -> None:
 
 
 def _let_end(path: str, system: System) -> None:
-    """Wait up to ENDS_S until the service of an earlier setup has ended. If the earlier setup was killed, its service
-    may still be stopping the wheels at this port."""
+    """Wait up to ENDS_S for the service of a killed setup, which may still be stopping the wheels at this port."""
     until_s = time.monotonic() + ENDS_S
     real = os.path.realpath(path)
     while any(holder.instance.startswith(RIG) for holder in system.holders(real)[0]) and time.monotonic() < until_s:

@@ -1,8 +1,7 @@
 """Rig: a service that runs during one step of the setup only, with the settings that setup has found so far.
 
-Setup turns wheels only through this service, so everything that stops a robot also stops the robot during setup. To
-turn one wheel alone, the rig uses settings and a velocity that move only this wheel. So the gate needs no special code
-for setup.
+Setup turns wheels only through this service, so everything that stops a robot also works during setup. To turn one
+wheel, the rig uses settings and a velocity that move only this wheel. So the gate needs no special code for setup.
 """
 
 from __future__ import annotations
@@ -54,8 +53,8 @@ Velocity = tuple[float, float, float]
 
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
-    """Return settings and a velocity that together turn only one wheel, the wheel with the id `id_`. The motor turns in
-    its own forward direction. The wheel turns forward or backward, depending on the motor's wiring.
+    """Return settings and a velocity that turn only the wheel with the id `id_`. The motor turns in its own forward
+    direction. The motor's wiring decides which way the wheel turns.
 
     `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
     speeds, the board must have ids for at least three wheels.
@@ -97,8 +96,8 @@ def toml(values: Mapping[str, object]) -> str:
 
 
 class Rig:
-    """A service for one step of the setup. Use it as a context manager. However the step ends, the context stops the
-    wheels, and raises Left if the wheels may still turn."""
+    """A service for one step of the setup. Use it as a context manager, which always stops the wheels at the end.
+    Raises Left if the wheels may still turn."""
 
     def __init__(self, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`device`: the board's port. `values`: the settings. `halt` stops the wheels after the service has ended.
@@ -114,9 +113,9 @@ class Rig:
         self._robot: Robot | None = None
         self._drove = False
         self.turned: dict[int, float] = {}
-        """The fastest speed that the board has reported for each wheel id, with its sign, in the board's unit. If the
-        board reports positions but no speeds, the value is the direction in which the position has changed: 1, -1, or 0
-        for no change. Empty if the board reported nothing."""
+        """For each wheel id, the fastest speed that the board has reported, with its sign, in the board's unit. If the
+        board reports only positions, the direction of the change: 1, -1, or 0 for no change. Empty if the board
+        reported nothing."""
         self.moved: dict[int, float] = {}
         """How far the position of each wheel id has changed, in the board's counts, without a sign. Empty if the board
         reports no positions."""
@@ -176,8 +175,8 @@ class Rig:
                 raise Left(f"the service was not ready within {READY_S:g} s: {self._why() or self._said()}")
 
     def drive(self, velocity: Velocity, seconds: float) -> None:
-        """Drive at this velocity for `seconds`, then stop and wait until the wheels are stopped. Raises Left if
-        something keeps the robot from driving."""
+        """Drive at this velocity for `seconds`, then wait until the wheels are stopped. Raises Left if the robot can't
+        drive, or if the wheels don't stop."""
         assert self._robot
         view = attach(self.name, layout.TELEMETRY).ring_reader("received")
         self._hearing.reset()

@@ -1,9 +1,8 @@
 """The robots that setup knows. Each has a file, robots/NAME.toml. To add a robot, add a file.
 
 Keys that begin with `about.` are for people (name, port, remark), and all other keys are settings. A file with
-`board.robot` has no sizes, because the service knows the sizes of that robot. If robots of one kind are built in
-different sizes, their file has no sizes either. Instead it has `about.measure`, a text about what a person must
-measure.
+`board.robot` has no sizes, because the service knows the sizes of that robot. If robots of one kind have different
+sizes, their file has `about.measure` instead, a text that says what a person must measure.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ def answer_key(key: str) -> str:
 
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
-    """Ask for the sizes and limits, as the fourth step of the setup. `known`: True if failstop knows this robot's
-    sizes. They are then offered as answers; otherwise no sizes are offered. Raises Left."""
+    """Ask for the sizes and limits, as the fourth step of the setup. With `known`, the sizes in `values` are offered as
+    answers. The limits are always offered. Raises Left."""
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
@@ -49,8 +49,7 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
 
 
 def _asked(key: str) -> str:
-    """Return the question about a setting, in one line: the first sentence of the setting's description, then its
-    unit."""
+    """Return the question about a setting: the first sentence of the setting's description, then its unit."""
     declared = declaration(key)
     return f"{declared.doc.partition('. ')[0]}, {declared.unit}"
 

@@ -47,14 +47,13 @@ class Talk:
         style.show([[], [(f"{number}. {title}", style.STRONG)]])
 
     def say(self, text: str, role: str = style.PLAIN, indent: int = 3, hang: int = 0) -> None:
-        """Print a sentence, wrapped to the terminal's width. `hang`: how many additional columns all lines after the
-        first one are indented."""
+        """Print a sentence, wrapped to the terminal's width. `hang`: how many columns further all lines after the first
+        are indented."""
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
     def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
-        """Print a problem and its remedy. `fix`: a command that helps. The command is printed on one line, so that a
-        person can copy it."""
+        """Print a problem and its remedy. `fix`: a command that helps, on one line, so that a person can copy it."""
         self.say(text, style.WARN)
         if fix:
             style.show([[(f"     -> {fix}", style.STRONG)]])
@@ -62,9 +61,9 @@ class Talk:
             self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
-        """Ask a question, and return the checked answer. `default` is the answer if the person only presses Enter. With
-        `keep`, the answer is saved for the next setup, and an answer that was saved earlier is used. Raises Left if an
-        option has a wrong answer, or if nobody can be asked."""
+        """Ask a question, and return the checked answer. Enter alone gives `default`. With `keep`, the answer is saved,
+        and an answer that was saved earlier is used. Raises Left if an option has a wrong answer, or if nobody can be
+        asked."""
         if (value := self.given.pop(key, None)) is not None:
             try:
                 found = check(value)
@@ -147,8 +146,8 @@ def yes_or_no(answer: str) -> str:
 
 
 def one_of(choices: Mapping[str, str]) -> Check:
-    """Return a check for a choice from a list. `choices`: the names to choose from, each with its description. The
-    person types a name, or its number in the list, counted from 1."""
+    """Return a check for one of these choices. The person types a name, or its number in the list, counted from 1.
+    `choices`: the names, each with its description."""
     names = list(choices)
 
     def check(answer: str) -> str:
@@ -162,7 +161,7 @@ def one_of(choices: Mapping[str, str]) -> Check:
 
 
 def word_of(words: Sequence[str]) -> Check:
-    """Return a check for one of these words. The beginning of a word is enough if no other word begins the same way."""
+    """Return a check for one of these words. The beginning of a word is enough if it fits only one word."""
 
     def check(answer: str) -> str:
         if (found := begun(answer, words)) is None:
@@ -173,16 +172,16 @@ def word_of(words: Sequence[str]) -> Check:
 
 
 def begun(answer: str, words: Sequence[str]) -> str | None:
-    """Return the word that the person meant: the word that equals the answer, or else the only word that begins with
-    it. None if no word begins with the answer, or if several words do."""
+    """Return the word that equals the answer, or else the only word that begins with the answer. None if there is no
+    such word."""
     text = answer.lower().strip()
     found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
     return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:
-    """Return a check for a number between these limits. `unit`: the unit that a person may type after the number, or
-    empty for a number without a unit."""
+    """Return a check for a number between these limits. `unit`: the unit that a person may type after the number, if
+    any."""
     range_ = f"{least:g} to {most:g}{f', in {unit}' if unit else ''}"
 
     def check(answer: str) -> str:

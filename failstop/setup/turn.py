@@ -1,10 +1,9 @@
 """Turn: finds out how many of the board's units make one turn of a wheel. This needs a person, because the board can't
 know that number.
 
-Many boards use the same scale for the speeds that are commanded and for the speeds that are reported. With a wrong
-scale, the two speeds still agree, so comparing them shows nothing. Therefore a person turns a wheel by hand, and the
-change of the board's counts shows the true scale. If that is not possible, failstop drives a wheel slowly, and the
-person counts its turns.
+Many boards use the same scale for commanded and for reported speeds. Comparing these speeds shows nothing, because they
+agree even if the scale is wrong. So a person turns a wheel by hand, and the board's counts show the true scale. If that
+is not possible, failstop drives a wheel slowly, and the person counts its turns.
 """
 
 from __future__ import annotations
@@ -42,9 +41,8 @@ MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """Ask a person for the scale. Returns no settings if the board knows its scale, or if the person does not know the
-    answer. Otherwise returns the setting board.per_rps and, if a wheel was turned to find it, the setting that confirms
-    the scale.
+    """Ask a person for the scale. Returns the setting board.per_rps and, if a wheel was turned to find it, the setting
+    that confirms it. Returns no settings if the board knows its scale, or if the person does not know it.
 
     `speeds` is the number of wheel speeds in a frame of the board. Raises Left.
     """
@@ -93,7 +91,7 @@ def _turns(answer: str) -> str:
 
 
 def by_hand(talk: Talk, device: str, board: Board) -> str | None:
-    """Find the value of board.per_rps by letting a person turn a wheel. Returns the value, UNKNOWN if the person skips
+    """Let a person turn a wheel by hand, and return the value of board.per_rps. Returns UNKNOWN if the person skips
     this, or None if no wheel can be turned by hand. Raises Left."""
     try:
         with contextlib.closing(OwnPort.open_and_stop(device, board)) as own:
@@ -143,8 +141,8 @@ def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) ->
 
 
 def _wrong(counts: list[float]) -> str:
-    """Check how far the wheels' counts have changed after a person has turned a wheel. Returns a text about the problem
-    if no wheel or several wheels have moved. Empty if exactly one wheel has moved."""
+    """Return a text about the problem if no wheel or several wheels have moved, or "" if exactly one wheel has moved.
+    `counts`: how far each wheel has moved."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
         return "The board counted nothing: is that wheel's encoder plugged in?"
@@ -154,8 +152,8 @@ def _wrong(counts: list[float]) -> str:
 
 
 def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int, board: Board) -> str:
-    """Find the value of board.per_rps by turning a wheel slowly while a person counts its turns. Returns the value, or
-    UNKNOWN if the person skips this. Raises Left."""
+    """Turn a wheel slowly while a person counts its turns, and return the value of board.per_rps. Returns UNKNOWN if
+    the person skips this. Raises Left."""
     kind, diameter_m = settings.text("board.kind"), settings["wheels.diameter_m"]
     rps = SLOWEST_MPS / rim_mps(1.0, diameter_m)
     values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
@@ -180,8 +178,8 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """Return the corrected value of board.per_rps. `told`: the number of turns according to the present value. `turns`:
-    the number of turns that the person has counted."""
+    """Print and return the corrected value of board.per_rps. `told`: the turns by the present value. `turns`: the turns
+    that the person has counted. `counts`: the board's counts, or 0."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

@@ -43,8 +43,8 @@ def names(count: int) -> list[str]:
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
     """Check the answer about a wheel, and return it in its usual form. For example, `fl+` means that the front left
-    wheel turned forward. The answers "again" and "faster" are also allowed. If `spare`, the motor's id may have no
-    wheel, so the answer "none" is allowed too. Raises NotAnAnswer."""
+    wheel turned forward. The answers "again" and "faster" are also allowed. With `spare`, "none" is allowed too, for an
+    id without a wheel. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
         return text
@@ -57,8 +57,7 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """Ask the person whether the wheels may turn. The answer of an earlier setup does not count. Raises Left if the
-    answer is no."""
+    """Ask the person whether the wheels may turn. Earlier answers don't count. Raises Left after a no."""
     talk.say(STAND, style.STRONG)
     if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
@@ -86,8 +85,7 @@ class Trial:
         self._set_speeds()
 
     def _set_speeds(self) -> None:
-        """Choose the speeds for turning the wheels, from the settings so far. The speeds are capped until somebody has
-        confirmed the scale."""
+        """Choose the speeds for turning the wheels, capped until somebody has confirmed the scale."""
         board = self._board = board_of(*Settings(dict(self._values)).board())
         # Half of the board's highest speed, because a wheel may have to drive and turn the robot at the same time.
         self._fastest = min(FASTEST_RPS, board.most_rps / 2)
@@ -96,8 +94,8 @@ class Trial:
         self._rps = min(RPS, self._fastest)
 
     def step(self) -> dict[str, object]:
-        """Turn the wheels and ask about them. Returns the motor ids and directions of the wheels as settings, and also
-        a corrected scale if one was found. Raises Left."""
+        """Turn the wheels and ask about them. Returns settings: the motor ids and directions, and the scale if it was
+        found. Raises Left."""
         talk = self._talk
         talk.step(3, "The wheels")
         stand(talk)
@@ -156,9 +154,9 @@ class Trial:
         return found
 
     def _scale(self) -> dict[str, object]:
-        """Compare the wheels' measured speed with the commanded speed. If they differ too much, return the corrected
-        scale as settings, otherwise nothing. If the board's reports also depend on board.per_rps, return nothing,
-        because such reports agree with the commands even if the scale is wrong."""
+        """Return a corrected scale as settings if the wheels' measured and commanded speeds differ too much, otherwise
+        nothing. Reports that depend on board.per_rps are not used, because they agree with the commands even if the
+        scale is wrong."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
@@ -184,8 +182,7 @@ class Trial:
         self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """Turn the motor with this id, and ask the person which wheel has turned. Repeat this while the answer is
-        "again" or "faster"."""
+        """Turn the motor with this id, and ask which wheel has turned. Repeat this after "again" or "faster"."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if not talk.known(key):
@@ -219,7 +216,7 @@ class Trial:
 
     def _together(self, values: Mapping[str, object]) -> str:
         """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first
-        question to which the answer was no. Empty if all answers were yes. Raises Left."""
+        question that was answered with no, or "". Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))

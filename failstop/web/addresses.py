@@ -14,8 +14,7 @@ too."""
 
 
 def own_addresses() -> list[str]:
-    """Return the network addresses of this computer, without loopback and link-local IPv6. IPv4 addresses come first,
-    because most robots are reached by them."""
+    """Return the network addresses of this computer, IPv4 first, without loopback and link-local IPv6."""
     import psutil
 
     rows = [row for each in psutil.net_if_addrs().values() for row in each]
@@ -27,8 +26,8 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """Return the addresses at which a phone finds the page, the best one first. If the page is behind a proxy, this is
-    only the proxy's address. `found`: the result of Page.addresses()."""
+    """Return the addresses at which a phone finds the page, the best one first. Behind a proxy, this is only the
+    proxy's address. `found`: the result of Page.addresses()."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 

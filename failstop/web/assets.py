@@ -1,5 +1,5 @@
-"""Assets: the page's files. The first response already contains all that the browser needs to show the page and to stop
-the robot, because a second request takes half a second on a slow phone."""
+"""Assets: the page's files. The first response contains all that the browser needs to show the page and to stop the
+robot, because a second request takes half a second on a slow phone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INDEX = "/"
 
 
 def load() -> dict[str, tuple[bytes, bytes, str, str]]:
-    """For each file, by its path, return (content, gzip-compressed content, content type, additions to the
+    """Return the files by path, each as (content, gzip-compressed content, content type, additions to the
     Content-Security-Policy). The additions allow the styles and scripts inside the page, by their hashes."""
     page, allowed = _text("page.html"), dict[str, str]()
     for name, directive in WITHIN.items():
@@ -33,7 +33,7 @@ def load() -> dict[str, tuple[bytes, bytes, str, str]]:
 
 
 def policy(given: str, more: str) -> str:
-    """Combine two Content-Security-Policies. If both have a directive with the same name, the one in `more` is used."""
+    """Combine two Content-Security-Policies. A directive in `more` replaces the directive with the same name."""
     rows = dict(row.strip().partition(" ")[::2] for row in given.split(";"))
     rows |= dict(row.strip().partition(" ")[::2] for row in more.split(";") if row)
     return "; ".join(f"{name} {value}" for name, value in rows.items())

@@ -1,6 +1,5 @@
-"""Attending: reports to the gate that an operator is present, after the operator's device has proved this. If several
-operators are present, only the one with the newest proof is reported. The gate alone decides when a proof is too
-old."""
+"""Attending: reports to the gate that an operator is present, once the operator's device has proved this. Only the
+newest proof of all operators is reported. The gate alone decides when a proof is too old."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ class Attending:
         return found[1] if found else None
 
     def begin(self, viewer: Viewer, who: str, key: bytes) -> None:
-        """Let a viewer begin to attend. Its operator counts as present from the first correct answer of the device.
-        `who`: the operator. `key`: the key with which the device computes its answers."""
+        """Let a viewer begin to attend. The operator counts as present from the device's first correct answer. `who`:
+        the operator. `key`: the key with which the device computes its answers."""
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
@@ -43,8 +42,8 @@ class Attending:
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
-        """End a viewer's attendance. If this viewer's proof was the newest, the newest proof of the other operators is
-        reported to the gate at once."""
+        """End a viewer's attendance. If this viewer's proof was the newest, report the next newest proof to the gate at
+        once."""
         last = self._last()
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
@@ -52,7 +51,7 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """Return the operator with the newest proof, and that operator's lease. None if there is no proof yet."""
+        """Return the operator with the newest proof, and that operator's lease. None without any proof."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 

@@ -66,8 +66,8 @@ def _serve(arguments: Namespace) -> int:
 
 
 def _settings(arguments: Namespace) -> tuple[Settings, Source]:
-    """Return the page's settings, and where they come from. This is the file given with --config, or else the running
-    service, or else the installed settings file."""
+    """Return the page's settings, and where they come from: the file of --config, else the running service, else the
+    installed settings file, else the defaults."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     changed = {key: value for key, value in given.items() if value is not None}
     if not arguments.config:

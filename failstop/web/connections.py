@@ -1,5 +1,5 @@
-"""Connections: limits how many connections the page has open. Without the limit, a flood of connections could use up
-the file descriptors, and a STOP could not get through."""
+"""Connections: limits how many connections the page has open. Otherwise a flood of connections could use up the file
+descriptors, and a STOP could not get through."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ MOST_BODY = 4 * 1024
 
 
 class Places(Generic[T]):
-    """A limited number of places for connections. If all places are taken, a new connection still gets one, because it
-    may be a STOP. In exchange, the network address that holds the most places loses its oldest connection."""
+    """A limited number of places for connections. A new connection always gets a place, because it may be a STOP. If
+    all places are taken, the network address that holds the most places loses its oldest connection."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -64,8 +64,7 @@ class Places(Generic[T]):
 
 
 class BoundedServer(HTTPServer):
-    """An HTTP server with at most MOST open connections. A connection that becomes a websocket no longer counts,
-    because websockets have their own limits."""
+    """An HTTP server with at most MOST open connections. Websockets don't count, because they have their own limits."""
 
     def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
         """Set up tornado's HTTPServer with limits for the connections, for example MOST and IDLE_S. `names`: the host
@@ -93,6 +92,6 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:
-        """Free the place of a connection that has become a websocket, so that a flood of other connections can't close
-        the websocket."""
+        """Free the place of a connection that has become a websocket. Otherwise a flood of connections could close the
+        websocket."""
         self._places.leave(stream)

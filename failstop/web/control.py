@@ -34,7 +34,7 @@ class _Asked(RequestHandler):
         self.page = page
 
     def write_error(self, status_code: int, **given: Any) -> None:
-        """Answer with a text that says what went wrong. The command that sent the request prints this text."""
+        """Answer with the error's text, which the command that sent the request prints."""
         error = given.get("exc_info", (None, self._reason))[1]
         self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a bug in the page: {error!r}"})
 
@@ -68,8 +68,8 @@ class _Devices(_Asked):
 
 
 def listen(page: Page, path: str) -> HTTPServer:
-    """Answer the requests of `failstop web pair`, `devices` and `revoke` at the Unix socket `path`. Anyone who may open
-    the socket's folder may pair devices. Raises FailstopError."""
+    """Answer the requests of `failstop web pair`, `devices` and `revoke` at the Unix socket `path`. Only the page's own
+    user and root can open the socket. Raises FailstopError."""
     rows = [("/pair", _Pair, {"page": page}), ("/devices", _Devices, {"page": page})]
     try:
         found = bind_unix_socket(path, mode=0o600)

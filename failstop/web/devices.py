@@ -1,7 +1,7 @@
-"""Devices: the paired devices, and the code that pairs a new one. A paired device has a token. The token allows it to
-do more than watch and stop, for example to reset a stop and to enable motion. Pure.
+"""Devices: the paired devices, and the code that pairs a new one. Pure.
 
-The page stores only the hash of a token, so that nobody can get a token by reading the page's files.
+The token of a paired device allows more than watching and stopping, for example resets and enables. The page stores
+only the hash of a token, so that nobody can get a token from the page's files.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Devices:
         return list(self._by_digest.values())
 
     def free_name(self, name: str) -> str:
-        """Return a name for a new device, made from the wanted name and safe to show. If another device has this name,
-        a number is added, so that the reason of a stop names only one device."""
+        """Return a name for a new device, made from the wanted name and safe to show. If the name is taken, a
+        number is added, because the reason of a stop must name only one device."""
         wanted, taken = clean(name), {device.name for device in self.all()}
         for number in range(2, MOST + 2):
             if wanted not in taken:
@@ -82,8 +82,8 @@ class Devices:
         return self._by_digest.get(digest_of(token)) if token else None
 
     def revoke(self, identity: str) -> Device | None:
-        """Remove the device with this id, so that it may only watch and stop. Returns the device, or None if no device
-        has this id."""
+        """Remove the device with this id, so that it may only watch and stop. Returns the device, or None if the id is
+        unknown."""
         found = next((device for device in self.all() if device.id == identity), None)
         if found:
             del self._by_digest[found.digest]
@@ -114,13 +114,13 @@ def code_of(data: bytes) -> str:
 
 
 def typed(code: str) -> str:
-    """Convert a pairing code, as a person has typed it, to its usual form. For example, the letter O becomes the digit
-    0, and blanks and dashes are removed."""
+    """Return a typed pairing code in its usual form. For example, the letter O becomes the digit 0, and blanks and
+    dashes are removed."""
     return code.upper().translate(str.maketrans("OIL", "011", " -_")).strip()
 
 
 class Pairing:
-    """An offer to pair a device. The offer's code pairs one device, and is valid for CODE_S."""
+    """An offer to pair one device by a code, which is valid for CODE_S."""
 
     def __init__(self) -> None:
         self._code = ""

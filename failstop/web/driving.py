@@ -1,10 +1,9 @@
 """Driving: lets an operator drive with the page's thumb stick. The operator's device must be paired, and must prove
 that the operator is present.
 
-The robot sends nonces, which are random texts, and the device answers them (lease.py). A driving command arrives
-together with such an answer. The robot treats the command as if it had arrived when the nonce was made, so a command
-that the network has delayed does not look fresh. The gate obeys the command for the timeout of the command's source (by
-default 0.3 s), and applies the speed limits.
+A driving command arrives with the device's answer to a nonce (lease.py). The command counts as given when the nonce was
+made, so a command that the network has delayed does not look fresh. The gate obeys the command for the timeout of the
+command's source (by default 0.3 s), and applies the speed limits.
 """
 
 from __future__ import annotations
@@ -65,12 +64,12 @@ class Driving:
         the values in _taken changed. Enabling motion again does not help."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
         """For each viewer who holds the stick: the robot's epoch, and the time at which motion was last enabled (ns),
-        as they were when the viewer took hold of the stick. If one of them changes, the viewer must let go of the stick
-        before driving again."""
+        both from the moment when the viewer took hold. If either changes, the viewer must let go of the stick before
+        driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """Return True if the operator of this device has chosen a speed limit, or need not choose one, because driving
-        is off or the device is not paired."""
+        """Return True if the operator of this device has chosen a speed limit. Also True if driving is off, or if the
+        device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
@@ -78,9 +77,9 @@ class Driving:
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """Carry out a driving command of a viewer that attends. `said`: the command's text, which the viewer's answer
-        has proved. `proven_ns`: when the device was certainly present (CLOCK_MONOTONIC, ns). Returns the reason why the
-        robot does not obey the command, or "" if it does."""
+        """Carry out a driving command of a viewer that attends. Returns why the robot does not obey, or "". `said`: the
+        command's text, which the viewer's answer has proved. `proven_ns`: when the device was certainly present
+        (CLOCK_MONOTONIC, ns)."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
@@ -102,7 +101,7 @@ class Driving:
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
     def _newest(self, state: State) -> State:
-        """Return the robot's present state if somebody is driving. Otherwise return `state`, which may be 0.1 s old."""
+        """Return the robot's present state if somebody is driving, else `state`, which may be 0.1 s old."""
         with contextlib.suppress(FailstopError):
             return self._robot.state if self._robot else state
         return state
@@ -118,8 +117,8 @@ class Driving:
         return ""
 
     def release(self, viewer: Viewer) -> None:
-        """Slow the robot down to zero along its ramp, because the viewer has let go of the stick. This needs no proof
-        that the operator is present, because slowing down is not dangerous."""
+        """Note that the viewer has let go of the stick. If this viewer drives the robot, slow the robot down to zero
+        along its ramp. Slowing down needs no proof that the operator is present."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
@@ -127,8 +126,8 @@ class Driving:
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Viewer) -> None:
-        """Stop the robot at once if this viewer drives it, because the viewer no longer attends. If the viewer attends
-        again later, its operator must first choose a speed limit again."""
+        """Note that the viewer no longer attends. If this viewer drives the robot, stop the robot at once. The operator
+        must choose a speed limit before driving again."""
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)

@@ -72,8 +72,8 @@ def origin_of(setting: str) -> str:
 
 
 def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
-    """Return all host names under which the robot can be reached. These are its own host name, the same name with
-    .local, localhost, the names in the setting `more` (separated by blanks), and the name in `origin`."""
+    """Return all host names of the robot: its own host name, the same name with .local, localhost, the names in the
+    setting `more` (separated by blanks), and the name in `origin`."""
     own = hostname.lower().partition(".")[0]
     proxied = host_of(origin.partition("://")[2])
     return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split(), proxied)) - {""}
@@ -92,8 +92,8 @@ def host_of(header: str) -> str:
 
 
 def is_address(host: str) -> bool:
-    """Return True if the host is an address, not a name. If a request names the robot by its address, its page was
-    opened at this address, so it comes from the robot. Another site can make only names point to the robot."""
+    """Return True if the host is an address, not a name. Another site can make only names point to the robot, so
+    addresses are safe from DNS rebinding."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
@@ -141,8 +141,8 @@ accepted request, and the reason for a refusal."""
 
 
 def refusal(request: PageRequest, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
-    """Check a request. Returns the HTTP status and the reason of a refusal, or None if the request is accepted.
-    `known`: the robot's host names. `proxied`: the origin that browsers see if there is a proxy, else ""."""
+    """Check a request. Returns the HTTP status and the reason of a refusal, or None. `known`: the robot's host names.
+    `proxied`: the page's origin behind a proxy, or ""."""
     for _, status, holds, why in ROWS:
         if not holds(request, known, proxied):
             return status, why

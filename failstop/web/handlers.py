@@ -65,8 +65,8 @@ class Guarded(RequestHandler):
         self.finish({"error": self._reason})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
-        """Log a bug in a few lines. If the same kind of bug repeats, only some are logged, because strangers must not
-        be able to fill the journal."""
+        """Log a bug in a few lines. Repeated bugs of one kind are logged rarely, because strangers must not be able to
+        fill the journal."""
         if not isinstance(value, HTTPError) and self.page.defect_limit.spend(str(typ), time.monotonic()):
             told = "".join(traceback.format_exception(typ, value, tb)).splitlines()[-LINES_OF_A_DEFECT:]
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
@@ -77,14 +77,13 @@ class Guarded(RequestHandler):
 
     @property
     def scheme(self) -> str:
-        """The scheme that the browser has used, http or https. Behind a proxy, this process may receive the request
-        with a different scheme."""
+        """The scheme that the browser has used, http or https. A proxy may use another scheme toward this process."""
         return self.page.scheme or self.request.protocol
 
     @property
     def cookie(self) -> str:
-        """The name of the cookie with the device's token. Over HTTPS the name begins with __Host-, so that a browser
-        accepts the cookie only over HTTPS, and only from the robot itself."""
+        """The name of the cookie with the device's token. The prefix __Host- makes browsers accept the cookie only over
+        HTTPS, and only from the robot itself. Over plain HTTP the name has no prefix."""
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
@@ -102,8 +101,8 @@ class Guarded(RequestHandler):
         return f"page at {self.request.remote_ip}" if device is None else f"{device.name} {ON_PAGE}"
 
     def paired(self) -> Device | None:
-        """Return the paired device that sent the request. If the sender is not paired, this refuses the request and
-        returns None."""
+        """Return the paired device that sent the request. If the sender is not paired, refuse the request and return
+        None."""
         if (device := self.device()) is None:
             self.refuse(401, "this device is not paired")
         return device
@@ -144,16 +143,16 @@ class StopHandler(Guarded):
     """Stops the robot. Anyone who can open the page may do this."""
 
     async def post(self) -> None:
-        """Request the stop, and answer as soon as the stop is written to the board. If the stop is not written within
-        0.3 s, the answer says so, and the page sends its request again."""
+        """Request the stop, and answer when the stop is written to the board, or after 0.3 s. If the stop is not
+        written, the answer says so, and the page sends its request again."""
         status, found = await self.page.stopped(self.page.asked.ask(self.who(), self.body().get("id")))
         self.set_status(status)
         self.finish(found)
 
 
 class Check(Guarded):
-    """Answers a test request, which passes the same checks as STOP but does not stop the robot. The page sends this
-    request when the page is opened, to find out whether the robot accepts its requests."""
+    """Answers a test request, which passes the same checks as STOP but does not stop the robot. When a page is opened,
+    this request shows whether the robot accepts requests of this page."""
 
     def post(self) -> None:
         """Answer that the request was accepted."""
@@ -164,7 +163,8 @@ class Me(Guarded):
     """Tells the page what this device may do."""
 
     def get(self) -> None:
-        """Answer with the name of this device (null if it is not paired), and whether the device may drive."""
+        """Answer with the name of this device (null if it is not paired), whether the device may drive, why nobody can
+        drive, and whether pairing is on."""
         device = self.device()
         drives = device is not None and self.page.driving.on
         self.finish(
@@ -181,8 +181,8 @@ class Pair(Guarded):
     """Pairs a device that sends the right code."""
 
     def post(self) -> None:
-        """Pair the device. Its token goes into a cookie that scripts can't read. The page gets only the key for proving
-        that the operator is present."""
+        """Pair the device. Its token goes into a cookie that scripts can't read. Scripts get only the key that proves
+        the operator's presence."""
         if not self.page.pairing_on:
             self.refuse(403, "pairing is off on this robot")
             return
@@ -222,8 +222,8 @@ class Forget(Guarded):
 
 
 class Verb(Guarded):
-    """Disables motion or lowers the speed limit, for paired devices. Requests for which a person must hold a button,
-    for example enable, arrive through the websocket instead."""
+    """Disables motion or lowers the speed limit, for paired devices. Requests that need a held button, for example
+    enable, come through the websocket."""
 
     async def post(self, verb: str) -> None:
         """Answer with the gate's decision about `verb`."""
@@ -254,8 +254,8 @@ class Cards(Guarded):
 
 
 class Story(Guarded):
-    """Serves the story and the picture of an incident. If they are not ready yet, the answer says so at once, and the
-    page asks again later."""
+    """Serves the story and the picture of an incident. If they are not ready yet, the answer says so, and the page asks
+    again later."""
 
     async def get(self, identity: str, what: str) -> None:
         """Answer with the picture as PNG, or with the story as a list of lines."""

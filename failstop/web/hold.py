@@ -2,9 +2,8 @@
 clock. Pure: times are arguments (time.monotonic()).
 
 The page sends a message when the person presses the button, and then ten messages per second while the button is held.
-After two seconds the robot asks the page whether the button is still held, and the page must confirm it. If any of
-these messages comes too late, the hold fails. So a frozen page or a slow network can't send a request for a button that
-was released long ago.
+After two seconds the robot asks the page to confirm the hold. If any message comes too late, the hold fails. So a
+frozen page or a slow network can't send a request for a button that was released long ago.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ class Hold:
         return gap_s <= GAP_S
 
     def enough(self, now_s: float) -> bool:
-        """Return True only once, at the first call after the button has been held for HOLD_S. The caller must then ask
-        the page to confirm the hold."""
+        """Return True once, as soon as the button has been held for HOLD_S. The caller must then ask the page to
+        confirm the hold."""
         if self.enough_s is not None or now_s - self.begun_s < HOLD_S:
             return False
         self.enough_s = now_s
         return True
 
     def sure(self, now_s: float) -> bool:
-        """Note the page's confirmation that the button is still held. Returns False if the robot has not asked for the
-        confirmation, or if the confirmation came too late."""
+        """Note the page's confirmation of the hold. Returns False if the confirmation was not asked for, or came too
+        late."""
         return self.held(now_s) and self.enough_s is not None and now_s - self.enough_s <= SURE_S

@@ -1,6 +1,5 @@
-"""Incidents: lists the saved incidents as cards, and gets their stories and pictures. `failstop incident` makes these
-in a separate process, because drawing needs matplotlib, which takes several times the memory of the whole page.
-"""
+"""Incidents: lists the saved incidents as cards, and gets their stories and pictures. `failstop incident` makes stories
+and pictures in a separate process, because matplotlib takes several times the memory of the whole page."""
 
 from __future__ import annotations
 
@@ -38,8 +37,8 @@ class Made:
 
 
 class Incidents:
-    """Lists the incidents of one service, and makes one story or picture at a time. If a story is not made yet, the
-    viewer gets an answer at once, which says so."""
+    """Lists the incidents of one service, and makes one story or picture at a time. No viewer waits until a story is
+    made."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -65,8 +64,8 @@ class Incidents:
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """Return two values: the story's lines, with times in ms from the cause; and True or False for an incident with
-        or without a picture. Each value is None until it is known."""
+        """Return (the story's lines, True if there is a picture). The times of the lines are in ms from the cause. Each
+        value is None until it is known."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
@@ -107,7 +106,7 @@ class Incidents:
 
     async def _command(self, *words: str) -> bytes | None:
         """Run `failstop incident` with these arguments, and return its output. Returns b"" if the command failed, and
-        None if it took longer than MAKE_S. After None, the command runs again when the next viewer asks."""
+        None if it took longer than MAKE_S. After None, the next viewer's request runs the command again."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
@@ -138,8 +137,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the story's lines that are at most NEAR_MS from the cause, in their order. If there are more than LINES of
-    them, return only those closest to the cause."""
+    """Return the story's lines that are at most NEAR_MS from the cause, in their order, at most the LINES closest
+    ones."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

@@ -1,8 +1,8 @@
 """Lease: proves that an operator's device is present. Pure: times are arguments, and all are from the robot's clock.
 
-The robot sends a nonce, which is a random text, and the device answers with the nonce's HMAC. An answer proves that the
-device was present when the nonce was made, whenever the answer arrives. So an answer that the network delayed does not
-count as a new sign of life. Only the two newest nonces are accepted, and each only once.
+The robot sends a nonce, which is a random text, and the device answers with the nonce's HMAC. The device counts as
+present at the time when the nonce was made, so an answer that the network delayed is no new sign of life. Only the two
+newest nonces are accepted, and each only once.
 
 An answer can contain a driving command. The HMAC then proves the command too, and the command counts as given when the
 nonce was made.
@@ -19,8 +19,8 @@ PURPOSE = b"failstop lease"
 
 
 def key_of(token: str) -> bytes:
-    """Return the key with which a device computes its answers. The page's scripts may know this key, but they can't
-    read the token from which it is made."""
+    """Return the key with which a device computes its answers. The page's scripts may know this key, but not the
+    token."""
     return hmac.digest(token.encode(), PURPOSE, "sha256")
 
 
@@ -46,8 +46,8 @@ class Lease:
         return nonce
 
     def accept(self, nonce: str, answer: str, said: str = "") -> bool:
-        """Check an answer. Returns True if the answer is right, and its nonce is newer than the nonces of all earlier
-        right answers. `said`: a command that came with the answer and is proven by it."""
+        """Check an answer. Returns True if the answer is right and its nonce is newer than all nonces that were
+        answered right before. `said`: a command that came with the answer, and is proved by it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:
                 right = answer_to(nonce + said, self._key)

@@ -1,5 +1,5 @@
-"""Limits: restricts how often requests are accepted, for example attempts to pair that come from one address. Pure,
-because the time is an argument."""
+"""Limits: restricts how often requests are accepted, for example attempts to pair from one address. Pure: times are
+arguments."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ MOST_KEYS = 1024
 
 
 class Limit:
-    """Limits the requests of each key, for example of each network address. Each key has a token bucket, which allows
-    `burst` requests at once, and after that `per_s` requests per second."""
+    """Limits the requests of each key, for example of each network address. Each key has a token bucket: `burst`
+    requests at once, and then `per_s` requests per second."""
 
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s
@@ -16,8 +16,8 @@ class Limit:
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, key: str, now_s: float) -> bool:
-        """Use up one token of this key. Returns True if the request is allowed, and False if the key had no token left.
-        `now_s`: time.monotonic(). If the time went backwards, no tokens are added."""
+        """Use up one token of this key. Returns False if none is left, so the request must be refused. `now_s`:
+        time.monotonic(). If the time went backwards, no tokens are added."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)
         if len(self._left) >= MOST_KEYS:  # drop the oldest key, so that invented keys can't fill the memory

@@ -7,8 +7,7 @@ from typing import Any
 
 
 def read(data: str | bytes) -> dict[str, Any]:
-    """Return the JSON object that was sent. Anything else, such as damaged or too deeply nested JSON, gives an empty
-    object."""
+    """Return the JSON object that was sent, or an empty object for anything else, such as damaged JSON."""
     try:
         found = json.loads(data or b"{}")
     except (ValueError, RecursionError):

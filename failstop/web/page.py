@@ -79,8 +79,8 @@ class Page:
         return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
-        """Return the scheme, address and port at which the page listens, the fingerprint of its certificate, and, if
-        there is a proxy, the page's origin behind the proxy."""
+        """Return the scheme, address and port at which the page listens, the fingerprint of its certificate (or ""),
+        and its origin behind a proxy (or "")."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
         return {**where, "origin": self.origin}
@@ -90,7 +90,7 @@ class Page:
         self.watcher.look(time.monotonic(), time.time())
 
     async def stopped(self, request: stopping.Request) -> tuple[int, dict[str, Any]]:
-        """Wait until a requested stop is written, for at most WRITTEN_S. Returns the HTTP status and the answer for the
+        """Wait up to WRITTEN_S until a requested stop is written. Returns the HTTP status and the answer for the
         page."""
         if request.error:
             return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
@@ -110,7 +110,8 @@ class Page:
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 
     def pair(self, code: str, name: str) -> str:
-        """Pair a new device, and return its token. Raises NotPaired if the code is not valid, or FailstopError."""
+        """Pair a new device, and return its token. Raises NotPaired if the code is not valid or there are too many
+        devices, and FailstopError if saving fails."""
         self.pairing.redeem(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
         made = devices.Device(
@@ -125,9 +126,8 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """Unpair the device with this id. Returns its name, or "" if no device has this id. Raises FailstopError if the
-        new list of devices could not be saved. In this case the device stays unpaired until the page ends, but it is
-        paired again after a restart of the page."""
+        """Unpair the device with this id. Returns its name, or "" if the id is unknown. Raises FailstopError if the new
+        list of devices can't be saved. The device is then paired again after a restart of the page."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:
@@ -143,8 +143,7 @@ class Page:
         return found.name
 
     def join(self, viewer: Viewer) -> None:
-        """Add a viewer, and send it the state. If it is the only viewer, this also starts the timer that reads the
-        robot's state again and again."""
+        """Add a viewer, and send it the state. The first viewer starts the timer that reads the robot's state."""
         self.viewers.append(viewer)
         if not self._timer.is_running():
             self._timer.start()

@@ -20,9 +20,8 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """Return the answer to a plain HTTP request on the HTTPS port, with a sentence for the person. If the request names
-    this robot as its host, the answer also redirects the browser to HTTPS. `request`: its first bytes may be
-    missing."""
+    """Return the answer to a plain HTTP request on the HTTPS port, with a sentence for the person. A request to one of
+    this robot's hosts is also redirected to HTTPS. `request`: its first bytes may be missing."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -38,8 +37,8 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Prepare a TLS connection: if its browser speaks plain HTTP, the browser gets an answer before the connection is
-    closed. `known`: the robot's host names."""
+    """Prepare a TLS connection to answer a browser that speaks plain HTTP, before the connection is closed. `known`:
+    the robot's host names."""
     close_fd = stream.close_fd
 
     def answered() -> None:
@@ -52,8 +51,8 @@ def attend(stream: IOStream, known: frozenset[str]) -> None:
 
 
 def _send_answer(connection: socket.socket, known: frozenset[str]) -> None:
-    """Send the answer without TLS. First this reads the bytes of the request that are left. Otherwise the kernel would
-    reset the connection, and the answer would be lost."""
+    """Send the answer without TLS. The rest of the request must be read first. Otherwise the kernel would reset the
+    connection, and the answer would be lost."""
     request = socket.socket.recv(connection, MOST)
     socket.socket.send(connection, answer(request, known))
     socket.socket.shutdown(connection, socket.SHUT_WR)

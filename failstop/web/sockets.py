@@ -35,7 +35,7 @@ class Socket(Guarded, WebSocketHandler):
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """Tell the server that this connection has become a websocket, so that it no longer counts toward the server's
+        """Tell the server that this connection is now a websocket, so that it no longer counts toward the server's
         limit."""
         if self.ws_connection and self.ws_connection.stream:
             self.page.let_in(self.ws_connection.stream)
@@ -49,7 +49,7 @@ class Socket(Guarded, WebSocketHandler):
 
 
 class StopSocket(Socket):
-    """Carries STOP from anyone who can open the page. Nothing else is sent on this connection, so a STOP waits for
+    """Carries STOP from anyone who can open the page. Nothing else uses this connection, so a STOP waits for
     nothing."""
 
     def open(self, *_: str, **__: str) -> None:
@@ -69,8 +69,8 @@ class StopSocket(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def on_message(self, message: str | bytes) -> None:
-        """Request the stop whose id is in the message, before doing anything else. If MOST_ASKED stops of this
-        connection still wait for their answers, a further stop is requested too, but gets no answer."""
+        """Request the stop in the message, before doing anything else. While MOST_ASKED stops of this connection wait
+        for their answers, a further stop gets no answer, but is requested too."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
@@ -96,9 +96,8 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """Let the guard check the request. If the page already has MOST_VIEWERS viewers, there are two cases. If the
-        new viewer's device is paired and that of another viewer is not, the new viewer takes that viewer's place.
-        Otherwise the new viewer is refused."""
+        """Let the guard check the request. If the page already has MOST_VIEWERS viewers, the new viewer is refused. But
+        a paired viewer takes the place of a viewer that is not paired, if there is one."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
@@ -136,8 +135,8 @@ class Live(Socket):
             self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
-        """Handle the device's answer to a nonce. The answer proves that the device was present, and may contain a
-        driving command. An answer without a command means that nobody holds the stick."""
+        """Handle the device's answer to a nonce, which proves that the device was present. The answer may contain a
+        driving command. Without a command, nobody holds the stick."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
@@ -189,8 +188,8 @@ class Live(Socket):
             self.send({"hold": held.identity, "enough": True})
 
     async def _ask(self, held: hold.Hold) -> None:
-        """Make the request for which the button was held. The request is refused if the robot was stopped again after
-        the person began to hold the button, because the person may not have seen that stop."""
+        """Make the request for which the button was held. The request is refused if the robot was stopped again since
+        the hold began, because the person may not have seen that stop."""
         if self.device() is None:  # revoked since
             done, said = False, "this device is not paired"
         elif self.page.newest_stop() != held.epoch:
@@ -205,8 +204,8 @@ class Live(Socket):
         self.send({"hold": identity, "done": done, "said": said})
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send the newest values. This never waits. If the last message to the viewer has not been sent completely yet,
-        this sends nothing."""
+        """Send the newest values, unless the last message is still being sent. If sending takes longer than STUCK_S,
+        close the connection. Never waits."""
         if self._sending is not None and not self._sending.done():
             connection = self.ws_connection
             if now_s - self._sent_s > STUCK_S and connection and connection.stream:

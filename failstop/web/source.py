@@ -11,8 +11,8 @@ class Source:
     """Where the page's settings come from."""
 
     path: str = ""
-    """The path of the settings file. Empty if no file was read. In this case the settings come from the running
-    service, or all of them have their defaults."""
+    """The path of the settings file. Empty if the settings come from the running service, or if all of them are
+    defaults."""
     running: bool = False
     """True if the settings come from the running service."""
 

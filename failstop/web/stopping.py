@@ -31,8 +31,7 @@ class Request(Data):
 
 
 class Pipe:
-    """The stop pipe of the running service. The pipe is kept open between stops, because opening the pipe takes longer
-    than requesting a stop."""
+    """The stop pipe of the running service, kept open because opening it takes longer than requesting a stop."""
 
     def __init__(self, name: str) -> None:
         """`name`: the name of the service."""
@@ -72,8 +71,8 @@ class Pipe:
 
 
 class Asked:
-    """Requests the stops that pages ask for. A page may send one stop twice, by websocket and as an HTTP request. Both
-    have the same id, so the stop is requested only once."""
+    """Requests the stops that pages ask for, each id only once. A page may send one stop both by websocket and as an
+    HTTP request, with the same id."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -89,8 +88,8 @@ class Asked:
             return Request(unix_s, error=error)
 
     def _ask(self, who: str, known: str) -> int:
-        """Request a stop, unless a stop with this id was requested before. Returns the time of the request
-        (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if the stop could not be requested."""
+        """Request a stop, unless a stop with this id was requested before. Returns the time of the first request
+        (CLOCK_MONOTONIC, ns). Raises NoService, FailstopError."""
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
@@ -103,10 +102,9 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait until the stop that was requested at `asked_ns` is written to the board. Returns True once the port owner
-    reports that it has written a stop since then. If no port owner can write the stop, the supervisor writes it, and
-    the supervisor's report counts. Returns False if no stop was written within WRITTEN_S, or if no service is
-    running."""
+    """Wait until a stop is written that was requested at `asked_ns` (CLOCK_MONOTONIC, ns). The port owner's report
+    counts, and also the supervisor's, which writes the stop if no port owner can. Returns False if no stop was written
+    within WRITTEN_S, or if no service is running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

@@ -40,8 +40,8 @@ def folder(name: str, environ: Mapping[str, str]) -> str:
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """Return the folders in which the running page of this service may have its files: this user's folder, and the
-    system's. A command such as `failstop web pair` looks for the page in both folders."""
+    """Return the folders in which a running page of this service may have its files: this user's folder, and the
+    system's."""
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
@@ -62,8 +62,8 @@ class Storage:
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:
-        """Return the paired devices. Raises FailstopError if their file can't be read, because otherwise all devices
-        would lose their rights without a message."""
+        """Return the paired devices. Raises FailstopError if their file can't be read. An empty list would unpair all
+        devices without a message."""
         try:
             with open(durable.open_own(self.path(DEVICES)), "rb") as file:
                 return Devices.load(file.read())
@@ -79,9 +79,9 @@ class Storage:
         self._write(DEVICES, devices.dump())
 
     def keep_fewer(self, devices: Devices) -> None:
-        """Save the devices after one was revoked. If the disk is full, this overwrites the old file in place, because
-        no new file can be written. A crash at that moment may damage the file. The page does not start with a damaged
-        file, so no device gets rights by mistake. Raises FailstopError."""
+        """Save the devices after one was revoked. If no new file can be written, for example on a full disk, overwrite
+        the old file in place. A crash at that moment may damage the file. The page does not start with a damaged file,
+        so no device gets rights by mistake. Raises FailstopError."""
         try:
             self.keep(devices)
         except FailstopError as error:
@@ -109,8 +109,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """Return the TLS context for HTTPS. It uses the page's own certificate, which is made at the first start, and
-        again before it expires. Raises FailstopError."""
+        """Return the TLS context for HTTPS. The page makes its own certificate at the first start, and again before it
+        expires. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -1,7 +1,7 @@
 """View: turns the robot's state into the plain values that the page shows. Pure: times are arguments.
 
 The page shows one large word that can be read from a distance, a reason in one sentence, and the next step. The next
-step is something that a person does with the page's buttons, not a command.
+step uses the page's buttons, not a command.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """Return the values that change all the time, as a list. Its items are the speed forward (m/s), the speed to the
-    left (m/s), the turning speed (rad/s), the vibration (mrad/s, None while the IMU is silent), the age of the gate's
-    record (ms), the steering in words, and what the wheels are seen to do."""
+    """Return the values that change all the time: the speed forward (m/s), the speed to the left (m/s), the turning
+    speed (rad/s), the vibration (mrad/s, None while the IMU is silent), the age of the gate's record (ms), the steering
+    in words, and what the wheels are seen to do."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
@@ -119,8 +119,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """Return the last stop, with its three proofs in words. If a proof is missing, its text is empty, and `lacks` has
-    the reason, if it is known. None if there was no stop."""
+    """Return the last stop, with its three proofs in words, or None if there was no stop. A missing proof is "", and
+    `lacks` has the reason, if it is known."""
     if stop is None:
         return None
     return {
@@ -138,8 +138,8 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def unlatched_of(event: Event | None) -> dict[str, Any] | None:
-    """Return what stopped the wheels after the last latched stop, and a text that says why no times are known for it.
-    None if nothing did."""
+    """Return what stopped the wheels after the last latched stop, and why no times are known for it. None if nothing
+    did."""
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
 
 
@@ -151,8 +151,7 @@ def _unseen(stop: Stop) -> str:
 
 
 def _written(stop: Stop) -> str:
-    """Return how long it took until the stop's bytes were sent, in words. Empty if the bytes were not sent, or if the
-    kernel still holds them back."""
+    """Return how long it took to send the stop's bytes, in words. Empty if the kernel has not sent them."""
     if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
@@ -177,8 +176,7 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """For each of the requests reset, enable and disable, say in a few words why it would be refused at present. The
-    text is empty if the request would be granted."""
+    """For each of the requests reset, enable and disable, return why it would be refused now, in a few words, or ""."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
@@ -187,7 +185,7 @@ def _obstacles(state: State) -> dict[str, str]:
 
 
 def _first(state: State, goal: Purpose) -> str:
-    """Return the first thing that must be done before a request can be granted. Empty if nothing must be done."""
+    """Return the first thing that must be done before a request can be granted, or ""."""
     first = next(iter(steps.before(state, goal)), None)
     if first is None:
         return ""

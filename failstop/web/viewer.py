@@ -1,4 +1,4 @@
-"""Viewer: what the page's server needs to know about the connection of a browser that shows the page."""
+"""Viewer: what the page's server needs from the connection of a browser that shows the page."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ class Viewer(Closing, Protocol):
     """A connection to somebody who watches the robot's state."""
 
     def device(self) -> Device | None:
-        """Return the paired device that this viewer uses. None if the device is not paired, so the viewer may only
-        watch and stop."""
+        """Return the paired device that this viewer uses. None if the viewer may only watch and stop."""
 
     def who(self) -> str:
         """Return the viewer's name, to show to people."""

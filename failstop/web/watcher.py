@@ -1,4 +1,4 @@
-"""Watcher: reads the robot's state for all viewers together, so that each further viewer costs little."""
+"""Watcher: reads the robot's state once for all viewers, so another viewer costs little."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Watcher:
         self._text = ""
 
     def look(self, now_s: float, unix_s: float) -> None:
-        """Read the state. Call it every PERIOD_S while there are viewers. Also call it before answering a request that
-        needs the present state. `now_s`: time.monotonic(). `unix_s`: Unix time."""
+        """Read the state. Call it every PERIOD_S while there are viewers, and before answering a request that needs the
+        current state. `now_s`: time.monotonic(). `unix_s`: Unix time."""
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None

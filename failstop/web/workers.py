@@ -16,10 +16,8 @@ MOST_AT_WORK = 4
 
 
 class Workers:
-    """Carries out each request in its own thread. So a slow request, such as an enable with an arm, does not delay a
-    STOP or another request. If all threads are busy, a new request is refused at once, because a request must not wait.
-    A delayed reset would even be dangerous, because it could clear a stop that happened after the operator had asked
-    for the reset."""
+    """Carries out each request in its own thread, so a slow one does not delay a STOP. While MOST_AT_WORK requests run,
+    further requests are refused. Requests must not queue, because a delayed reset could clear a newer stop."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -27,8 +25,8 @@ class Workers:
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
-        """Carry out a request. Returns (True if it was granted, the answer in words). `percent`: the speed limit.
-        `epoch`: the epoch of the newest stop that the person has seen."""
+        """Carry out a request. Returns (True if it was granted, the answer in words). `percent`: the limit, for
+        `limit`. `epoch`: the epoch of the newest stop that the person has seen, for `reset`."""
         if self._waiting >= MOST_AT_WORK:
             return False, "the page is busy: try again in a moment"
         self._waiting += 1

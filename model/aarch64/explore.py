@@ -1,9 +1,8 @@
-"""Ends of a litmus test that AArch64 allows, by trying every order: for machines that have no herd7.
+"""Finds the final states of a litmus test that AArch64 allows, by trying every order. It needs no herd7.
 
-Each thread performs its instructions in any order that it must not notice, and that nothing orders: a value that is
-needed, the same location, an acquire before what follows it, a release after what precedes it, a release before an
-acquire that follows it. Memory is one for all: on AArch64 a store is seen by all others at once. Only what these tests
-need is known: no branches, each register written once, each address a constant.
+A step waits for an earlier step of its thread that gives it a value, accesses the same location, or is ordered before
+it by an acquire or a release. All other steps may come in any order. All threads see a store at once, as on AArch64. A
+test must have no branches, write each register once, and use constant addresses.
 
 check compares every set of final states with herd7's.
 """
@@ -26,7 +25,7 @@ State = tuple[int, ...]
 
 
 class Step:
-    """One instruction: what it reads and writes, and what it orders (A: acquires, L: releases)."""
+    """One instruction. `order`: A if it acquires, L if it releases, otherwise empty."""
 
     def __init__(self, text: str, addresses: dict[str, str]) -> None:
         self.op, *rest = re.split(r"[ ,]+", text)
@@ -38,7 +37,7 @@ class Step:
         self.reads = set(reads) - {ZERO}
 
     def waits_for(self, earlier: Step) -> bool:
-        """True when this one, of the same thread, must not be performed before the other."""
+        """Return True if this step must not be performed before `earlier`, a step of the same thread."""
         if earlier.writes & self.reads:
             return True
         if not (self.at and earlier.at):
@@ -47,8 +46,8 @@ class Step:
         return self.at == earlier.at or "A" in earlier.order or "L" in self.order or released
 
     def perform(self, registers: dict[str, int], memory: dict[str, int]) -> None:
-        """In one step, as all others see it. An exclusive store finds its location as it was loaded: here each is of a
-        lock that no other thread uses."""
+        """Perform the step. All threads see its store at once. An exclusive store always succeeds, so a test may use it
+        only on a lock that no other thread uses."""
 
         def value(name: str) -> int:
             return 0 if name == ZERO else registers[name]
@@ -90,11 +89,11 @@ class Test:
         }
 
     def bad(self, states: set[State]) -> bool:
-        """True when what the test asks for is among them."""
+        """Return True if the state that the test asks for is in `states`."""
         return tuple(self.asked[key] for key in sorted(self.asked)) in states
 
     def states(self) -> set[State]:
-        """Every final state: the registers that the test asks for, in their order."""
+        """Return every final state: the values of the registers in `asked`, in sorted order."""
         found = set()
         seen = set()
         todo = [(tuple(0 for _ in self.threads), tuple({} for _ in self.threads), self.memory)]
@@ -122,15 +121,15 @@ class Test:
 
 
 def litmus_tests() -> list[Path]:
-    """All of them, in order."""
+    """Return the paths of all litmus tests, sorted."""
     return sorted(FOLDER.glob("*.litmus"))
 
 
 def digest() -> str:
-    """The subject of a verdict."""
+    """Return the SHA-256 of all litmus tests, which CHECKED names first."""
     return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in litmus_tests())).hexdigest()
 
 
 def written(states: set[State]) -> str:
-    """As in CHECKED."""
+    """Return the states as text, in the format of CHECKED."""
     return " | ".join(" ".join(map(str, state)) for state in sorted(states))

@@ -1,8 +1,8 @@
 """Clients, as the gate sees them: which slots are claimed, what is new in them, and which clients have gone.
 
 The gate reads all slots with pread. It believes a record only if its CRC is right, the slot is claimed and the session
-matches. A client itself chooses the name and pid that it shows. They are for people to read, and nothing depends on
-whether they are true.
+matches. A client chooses the name and pid that it shows. The name is only for people. The gate watches the pid for the
+client's death. It also notices when the client's claim ends.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ changed."""
 
 
 def newest_number(reader: LatestReader) -> int:
-    """Return the number of the newest entry, or 0 if there is none. After a restart of the gate, entries up to this
-    number don't count as new, because the previous gate may have acted on them."""
+    """Return the number of the newest entry, or 0 if there is none. A new gate ignores entries up to this number,
+    because the previous gate may have acted on them."""
     entry = reader.read()
     return entry[0] if entry else 0
 
@@ -64,8 +64,7 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """Return the session whose hello is in the slot at the moment, or None if there is no hello, or if it is
-        damaged."""
+        """Return the session in the slot's hello, or None if there is no hello or it is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -92,13 +91,12 @@ class Slot:
         self.session = self._session_seen = session
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
-        """Return the time (ns) and values of the newest record with this name, or None if it is damaged or from another
-        session."""
+        """Return (time in ns, *values) of the newest record with this name. None if there is none, or if it is damaged
+        or from another session."""
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
-        """Return the newest record with this name, like latest(), but each record only once. None if there is no new
-        record."""
+        """Return the newest record, like latest(), but each record only once. None if there is no new record."""
         entry = self._readers[name].read()
         if entry is None or entry[0] == self._seen[name]:
             return None
@@ -128,14 +126,14 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """Return a client's text, cut to `room` bytes, so that a record has room for the texts of all clients. Unprintable
-    characters are replaced, because each of them would take three bytes."""
+    """Return a client's text with unprintable characters replaced, cut to `room` bytes, so that a record has room for
+    the texts of all clients."""
     return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
-    """Reads all client slots, and finds what is new in them. `active`: the slots that a session holds. Act on each item
-    that a method yields before you take the next one."""
+    """Reads all client slots, and finds what is new in them. Act on each item that a method yields before you take the
+    next one. `active`: the slots that a session holds."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
@@ -150,16 +148,15 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """Return the slots to look at because the client bell has rung. `hints`: the bytes that the clients have
-        written into the bell. Each byte is the number of a slot. If any byte is not, return all slots."""
+        """Return the slots whose clients have rung the bell. `hints`: the bytes from the bell, each the number of a
+        slot. If any byte is not the number of a slot, return all slots."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these slots, and yield what is new in them. This also notices claims that have ended. Call it once
-        per tick for the active slots, and now and then for all slots, because a client's ring of the bell may be lost,
-        even the first ring of a new client."""
+        """Yield what is new in these slots, including claims that have ended. Call it once per tick for the active
+        slots. Call it now and then for all slots, because even the first ring of a new client may be lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
@@ -170,15 +167,15 @@ class ClientTable:
                 yield slot, "command", values
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
-        """Drop each client whose lifeline reports its death, even if the kernel is still freeing the client's memory,
-        or if a process that the client forked still holds its claim."""
+        """Drop each client whose lifeline reports its death, even if the kernel is still freeing its memory, or if its
+        forked child still holds its claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
         """Watch the client's process through its pid and its futex, so that its death is noticed at once. If neither
-        can be watched, its death is noticed at the tick after its claim has ended."""
+        works, the tick after its claim has ended notices the death."""
         # If the client runs in a container, its pid means nothing here, or a different process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:

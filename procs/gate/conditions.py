@@ -1,5 +1,5 @@
 """Conditions for motion that must be confirmed again and again: the obstacle sensor, interlocks, and an operator's
-presence. Pure. Each confirmation comes with its time, by the clock of the process that sends it."""
+presence. Pure. Each confirmation has a time, from the clock of its sender."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
-    """Return the time that counts for a time stamp. It is never later than now. A stamp that is too far in the future
-    becomes 0, which is too old for any timeout."""
+    """Return the time that counts for the time stamp `t_ns`: at most now, and 0 if it is more than AHEAD_NS in the
+    future. 0 is too old for any timeout."""
     return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
 
 
 class ScanGate:
     """Lets programs move the wheels only while the obstacle sensor delivers scans. People who drive by hand don't need
-    the sensor. If the sensor falls silent, the wheels stop, but nothing is latched. If the sensor delivers scans again,
-    the wheels start again from zero by themselves."""
+    the sensor. If it falls silent, the wheels stop, but nothing is latched. When scans come again, the wheels start
+    again from zero by themselves."""
 
     def __init__(self, timeout_ns: int, *, on: bool) -> None:
         self._timeout_ns = timeout_ns
@@ -45,10 +45,9 @@ class ScanGate:
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """Return a note for people if the sensor's silence has just begun to block the wheels, or if the sensor is
-        back; otherwise None. The note includes the age of the last scan. `blocks`: True if the wheels are blocked by
-        the sensor's silence. If this becomes False only because something else blocks the wheels first, the silent
-        sensor is not reported as back."""
+        """Return a note for people when the sensor's silence begins to block the wheels, and when the sensor is back;
+        otherwise None. `blocks`: True if the silence blocks the wheels. A silent sensor is never reported as back, even
+        if something else blocks the wheels first."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -88,8 +87,7 @@ class Interlocks:
 
 class Attendance:
     """Records which operators are present, if motion needs an operator (attend.required). Each session reports one
-    operator. A proof of presence counts from the time when the operator's device made it, not from the time when it
-    arrived."""
+    operator. A proof of presence counts from the time when the operator's device made it."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
@@ -99,9 +97,8 @@ class Attendance:
         """The operator whose presence ended last, and how it ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """Record that an operator was present at `t_ns`. A proof of presence is ignored if it is older than the lease,
-        or older than an earlier proof of the same operator. A session reports one operator at a time, so if it names a
-        new operator, the previous one has left."""
+        """Record that an operator was present at `t_ns`. Ignores a proof that is older than the lease or than the
+        operator's previous proof. If the session names a new operator, the previous one has left."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
@@ -115,8 +112,7 @@ class Attendance:
             self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
-        """Return the names of the operators who are present. Each operator whose last proof is older than the lease is
-        removed first."""
+        """Return the operators who are present. Removes each operator whose last proof is older than the lease."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]
@@ -124,7 +120,7 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """Return the time from which no operator counts as present any more, unless a new proof arrives before."""
+        """Return when the last operator stops counting as present, unless a new proof arrives before."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:

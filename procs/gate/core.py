@@ -1,15 +1,17 @@
-"""The gate's decisions about the wheels. Pure: the time and everything that has happened are arguments; frames and
-texts are results.
+"""The gate's decisions about the wheels. Pure: takes the time and all events as arguments, and returns frames and
+texts.
 
 While the wheels are blocked, the reason is the first of these that applies:
+
     estop: REASON     a stop is latched; only a reset ends it
     disabled          motion is disabled until somebody enables it
     let go first      no source drives, and one has commanded a velocity since before motion was enabled
     cmd timeout       no source drives, because none has a command that is younger than its timeout
     no scan           the source that drives is not manual, and the obstacle sensor is silent
+
 While the wheels are blocked, the velocity is set to zero at once, without a ramp. Otherwise it moves toward the
-command, which is clamped to the limits. Each step changes it by at most the acceleration times the time since the
-previous step. Of this time, at most two periods count.
+command, which is clamped to the limits. Each step changes it by at most the acceleration times the step's length, which
+counts as at most two periods.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ MOST_IGNORED = 64
 
 
 class GateCore:
-    """Decides how the wheels may turn. It holds what the decisions need: whether motion is enabled, the latch, the
-    sources and their commands, and the velocity."""
+    """Decides how the wheels may turn, from the latch, the sources' commands, the velocity and whether motion is
+    enabled."""
 
     def __init__(
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
@@ -116,8 +118,8 @@ class GateCore:
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Return the time when the wheels must stop because a command, an operator's presence or the last scan becomes
-        too old. The wheels stop at that moment, not at a later tick. None if nothing moves the wheels."""
+        """Return when the driver's command, the operators' presence or the last scan becomes too old. The wheels must
+        stop at that moment, not at a later tick. None if nothing moves the wheels."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None
@@ -129,10 +131,9 @@ class GateCore:
         return min(ends_ns)
 
     def accept(self, command: Command, now_ns: int) -> Cause | None:
-        """Accept a new command. If its values are not finite, or if another program publishes for the same source,
-        return the cause to stop for. If its source is not in the settings, or if a client uses the gamepad's source,
-        ignore the command and note that. Returns None if there is no cause to stop. A time stamp from the future counts
-        as now."""
+        """Accept a new command. Returns the cause to stop for if a value is not finite, or if another program publishes
+        for the same source; otherwise None. A command for a source that its sender may not use is ignored, with a note.
+        A time stamp from the future counts as now."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -147,8 +148,8 @@ class GateCore:
         return None
 
     def _note_ignored(self, command: Command) -> None:
-        """Note that a command was ignored. Each session and source is noted only once. The total is limited too,
-        because a session could invent new sources forever."""
+        """Note that a command was ignored, once per session and source. At most MOST_IGNORED are noted, because a
+        session could invent new sources forever."""
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
@@ -158,10 +159,10 @@ class GateCore:
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
-        """Drop the commands of a client that has gone. If it had sent a command and has died while motion is enabled,
-        the setting gate.driver_death decides what happens: motion stays enabled, or it is disabled and a note is added,
-        or the cause to stop for is returned. If motion stays enabled, or if the client said goodbye (`parted`), a note
-        is added if the client's command was turning the wheels."""
+        """Drop the commands of a client that has gone. `parted`: True if it said goodbye. If a driver has died while
+        motion is enabled, the setting gate.driver_death decides: motion stays enabled, or it is disabled with a note,
+        or the cause to stop for is returned. If motion stays enabled, a note is added only if the client's command was
+        turning the wheels."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -179,9 +180,9 @@ class GateCore:
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
-        """Check once per step whether the driver has just fallen silent while the wheels turned. If it has, the setting
-        gate.driver_silence decides what happens: only a note is added, or motion is disabled and a note is added, or
-        the cause to stop for is returned. If a person drives by hand and lets go of a key, only a note is added."""
+        """Check whether the driver has just fallen silent while the wheels turned. Call it once per step. The setting
+        gate.driver_silence decides: a note is added, or motion is disabled with a note, or the cause to stop for is
+        returned. A person who lets go of a key only causes a note."""
         if not any(self.velocity) or self.sources.driving(now_ns):
             return None
         driver = self.sources.last_driver()
@@ -207,8 +208,8 @@ class GateCore:
         return True
 
     def follow(self, latched: Cause | None, epoch: int) -> None:
-        """Take over the latch that the supervisor has published in this epoch. `latched`: the latched cause, or
-        None."""
+        """Take over the latch that the supervisor has published in this epoch. A stop by the gate itself stays latched
+        until a newer epoch."""
         if latched:
             self.stand_still()
         if latched or epoch > self._stopped_in:
@@ -223,8 +224,8 @@ class GateCore:
         self.speeds = self._kinematics.rest
 
     def refusal(self, missing: str, now_ns: int) -> Reply | None:
-        """Return why motion can't be enabled now, or None if it can. `missing`: what the service still waits for, or
-        empty."""
+        """Return why motion can't be enabled now, or None if it can. `missing`: what the service waits for, or an empty
+        text."""
         if self.latch is not None:
             return refused(IS_LATCHED, self.latch)
         if missing:
@@ -247,8 +248,8 @@ class GateCore:
         return self._may_move(self.sources.hold(now_ns), now_ns)
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
-        """Return the reply to the client that has enabled motion. The reply names the held programs (`held`) and those
-        that commanded motion a moment ago, because they may move the robot next."""
+        """Return the reply to the client that has enabled motion. It names the programs that may move the robot next:
+        the held ones (`held`), and those that commanded motion a moment ago."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
@@ -261,8 +262,8 @@ class GateCore:
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
-        """Limit all speeds to this percentage of the speeds in the settings. From the next step on, the velocity
-        follows its ramps down or up to the new limit."""
+        """Limit all speeds to this percentage of the settings' speeds, from LEAST_LIMIT to 100. The velocity ramps to
+        the new limit."""
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
@@ -271,8 +272,8 @@ class GateCore:
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
     def check_interlocks(self, now_ns: int) -> str:
-        """Disable motion if an interlock is lost while motion is enabled. Call it once per tick. Returns the text of
-        the lost interlock, or an empty text."""
+        """Disable motion if an interlock is lost. Call it once per tick. Returns the text of the lost interlock, or an
+        empty text."""
         unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
         if unmet:
             self.stand_still()
@@ -320,9 +321,8 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """Return a text that says what a person can do if a held program never sends zero. `held`: the programs whose
-    commands don't count until they send zero or pause. The text is empty if one of them is the gamepad, because a
-    person can let go of its stick."""
+    """Return the advice for held programs that never send zero. Empty if one of them is the gamepad, because a person
+    can let go of its stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

@@ -1,6 +1,5 @@
 """The gate's loop. It handles everything new from clients, telemetry and the supervisor, and puts frames into the ring
-for the port owner. Once per period (gate.period_s) it makes a tick: it looks at the clients and advances the
-velocity."""
+for the port owner. At each tick (every gate.period_s), it looks at the clients and advances the velocity."""
 
 from __future__ import annotations
 
@@ -137,8 +136,8 @@ class Gate:
         self.loop.watch(self._client_bell, READ)
 
     def follow_latch(self) -> None:
-        """Read the latch that the supervisor has published. This is also done at the start, because a gate may be
-        restarted while a stop is latched."""
+        """Read the latch that the supervisor has published. Call it at the start too, because a gate may be restarted
+        while a stop is latched."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -179,8 +178,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """Return True if one tick in two periods is enough. The gate then misses nothing, because a client rings a bell
-        when it joins or wants something new, and because the kernel reports a client's death at once."""
+        """Return True if one tick in two periods is enough. The gate then misses nothing, because clients ring a bell
+        for anything new, and the kernel reports a client's death at once."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -230,8 +229,8 @@ class Gate:
             self._frames.put(records.OTHER, frame, now_ns)
 
     def _client_rang(self, now_ns: int) -> None:
-        """Read the clients' records at once. If too many rings come, the rest is handled at the next tick, because a
-        flood of rings would take a core from processes of lower priority."""
+        """Read the clients' records at once. After MOST_RINGS rings, the rest waits for the next tick, so that a flood
+        of rings can't take a core from processes of lower priority."""
         rung = self.clients.hinted(bell.receive(self._client_bell))
         self._hear_clients(self.clients.look(rung), now_ns)
         self._rings += 1
@@ -260,8 +259,8 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """Stop if motion is enabled and the supervisor has been silent for longer than the lease. The port owner then
-        admits no motion, so the gate must not show that motion is enabled."""
+        """Stop if the supervisor has been silent for longer than the lease while motion is enabled. The port owner
+        admits no motion then, so the gate must not show motion as enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
@@ -308,8 +307,8 @@ class Gate:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _hear_telemetry(self, now_ns: int) -> None:
-        """Handle the gamepad's sticks, and telemetry's requests. Telemetry requests resets, and sends frames that are
-        not motion, for example for the buzzer."""
+        """Handle the gamepad's sticks, and telemetry's requests: resets, and frames that are not motion, for example
+        for the buzzer."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -355,17 +354,16 @@ class Gate:
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
-        """Enable motion, if nothing forbids it. If the arm has a drive pose, send it there first. In that case this
-        returns a reply about the progress, and the final reply comes when the arm is there."""
+        """Enable motion, if nothing forbids it. If the arm has a drive pose, it goes there first. The returned reply
+        then reports progress, and the final reply comes when the arm is there."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
         return way or self._allow_motion(now_ns)
 
     def _allow_motion(self, now_ns: int) -> Reply:
-        """Enable motion, but read all new commands before that, although normally the gate reads a client's requests
-        first. So a program that is already commanding motion is known and can't drive off: its commands don't count
-        until it sends zero or pauses."""
+        """Read all new commands, then enable motion if nothing forbids it. This order matters: a program that already
+        commands motion is then held until it sends zero or pauses, so it can't drive off."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
@@ -397,8 +395,7 @@ class Gate:
         return refused(IS_LATCHED, done)
 
     def _command(self, command: Command, now_ns: int) -> None:
-        """Handle a new command. If the command is allowed, the wheels follow it at once and don't wait for the next
-        tick."""
+        """Handle a new command. If it is allowed, the wheels follow it at once, not at the next tick."""
         self._box.command(command)
         if fault := self.core.accept(command, now_ns):
             self._stop(fault, now_ns)
@@ -434,9 +431,8 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and when it is PUBLISH_NS old. A new time of the last scan does not
-        count as a change. That time changes at every tick, and every reader would have to unpack the whole state each
-        time."""
+        """Publish the state when it has changed or is PUBLISH_NS old. A new scan time is not a change, because it comes
+        at every tick, and every reader would have to unpack the whole state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

@@ -59,7 +59,7 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
 
 
 class Budget:
-    """Limits the number of notes. A certain number may be made at once, and after that one per time interval."""
+    """Limits the number of notes: `most` at once, and then one per `every_ns`."""
 
     def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
         self._most = self._left = most
@@ -81,16 +81,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """Return the note that motion was disabled because a driver has died. This note is never left out, because motion
-    stays disabled until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
+    """Return the note that a driver's death has disabled motion. Never leave it out, because motion stays disabled
+    until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """Return the note that motion was disabled because a driver has fallen silent. This note is never left out, because
-    motion stays disabled until somebody enables it."""
+    """Return the note that a driver's silence has disabled motion. Never leave it out, because motion stays disabled
+    until somebody enables it."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -98,9 +98,8 @@ def disabled_by_silence(driver: Command, now_ns: int) -> Note:
 
 
 class DriverLosses:
-    """Makes notes about drivers that stopped driving, for the case that the gate then only commands zero. Drivers that
-    ended normally, such as people who let go of a key, have a separate budget. So their notes can't use up the budget
-    for notes about failing programs."""
+    """Makes notes about drivers that stopped driving while motion stays enabled. Normal ends, such as letting go of a
+    key, have their own budget, so they can't use up the budget for failing programs."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
@@ -130,8 +129,8 @@ class DriverLosses:
 
 
 class SelfReports:
-    """Keeps what each session last reported about itself: what its program sees, and what is wrong. The reports are for
-    people, and nothing depends on whether they are true."""
+    """Keeps each session's last report about itself: what its program sees, and what is wrong. The reports are only for
+    people."""
 
     def __init__(self, now_ns: int) -> None:
         self._rows: dict[int, SaidRow] = {}
@@ -141,12 +140,12 @@ class SelfReports:
 
     def part(self, session: int) -> None:
         """Record that a session has said goodbye, so that update() does not report its program as gone. The program may
-        still run. For example, the guard ends its session to free a slot for a driver, but goes on running."""
+        still run. For example, the guard ends its session to free a slot for a driver."""
         self._parted.add(session)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """Replace the reports of all sessions by `rows`. Returns notes for people. Returns None if nothing has changed,
-        not even a report's time."""
+        """Replace all reports by `rows`. Returns notes for people, or None if nothing has changed, not even a report's
+        time."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None
@@ -162,8 +161,8 @@ class SelfReports:
 
 
 def _ageless(text: str) -> list[str]:
-    """Return the words of a report, but leave out times such as "3 s". If only these have changed, the report has
-    merely become older, and another note about it would fill the log."""
+    """Return the words of a report without times such as `3 s`. A report that has merely become older must not cause
+    another note, because such notes would fill the log."""
     kept: list[str] = []
     for word in text.split(" "):
         if kept and word.rstrip(";,.") in AGES and kept[-1].replace(".", "", 1).isdecimal():
@@ -184,8 +183,8 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
 
 
 def _gone(row: SaidRow, *, parted: bool) -> Note | None:
-    """Return the note about a session that has ended. If the session said goodbye, a note is needed only if its last
-    report named something wrong."""
+    """Return the note about a session that has ended. After a goodbye, there is a note only if its last report named
+    something wrong."""
     _, _, who, _, _, wrong = row
     text = f"{who} has gone"
     if parted:

@@ -47,8 +47,7 @@ class Request(Data):
 
 
 class Requests:
-    """Decides which requests are refused because of later ones, passes waiting resets to the supervisor, and writes the
-    replies."""
+    """Refuses outdated requests, passes waiting resets to the supervisor, and writes the replies."""
 
     def __init__(self, context: Context, notes: list[Note], now_ns: int) -> None:
         """`notes`: the list to which notes for people are added."""
@@ -74,15 +73,17 @@ class Requests:
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
-        """Return True if the request was answered before. When a gate starts, it finds the newest request of each
-        client again, and the previous gate may have answered it."""
+        """Return True if the request was answered before. A new gate finds each client's newest request again, and the
+        previous gate may have answered it."""
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Check whether a request came too late. Returns the refusal, or None if the request may be carried out. A
-        request that could start motion is refused if motion was stopped since it was made, or if a later request
-        replaced it. Any request is refused if its client had already given up waiting for the reply when this gate
-        started. A reset is refused if the person who requests it has not seen the newest stop.
+        """Return the refusal of a request that came too late, or None if the request may be carried out. These are
+        refused:
+
+            a request that could start motion, if a stop or a request that replaces it came later
+            any request, if its client had given up waiting for the reply when this gate started
+            a reset, if the person who requests it has not seen the newest stop
 
         `stopped_ns` and `last`: when the last stop was, and its cause.
         """
@@ -108,8 +109,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Queue a reply, which write() sends to the client. But if a later request of the same session was answered
-        already, drop this reply, because a slot has room for only one."""
+        """Queue a reply for write(). Drops it if a later request of the same session was answered already, because a
+        slot has room for only one reply."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -118,8 +119,8 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the queued replies. The caller must have published the state that results from the requests. Each reply
-        is written behind a memory barrier (cell.py), so a client that has read its reply never reads an older state."""
+        """Write the queued replies. First publish the state that results from the requests. A memory barrier (cell.py)
+        then makes sure that a client which has read its reply never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
@@ -135,8 +136,8 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
-        """Queue a reset. It is passed to the supervisor when all earlier resets are decided. If several resets of one
-        client wait for that, only the newest of them is kept."""
+        """Queue a reset. The supervisor gets it when all earlier resets are decided. If several resets of one client
+        wait, only the newest is kept."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -150,15 +151,14 @@ class Requests:
 
     def reset_decided(self) -> bool:
         """Return True if the supervisor has decided a reset since the last call. Read the latch only after this call.
-        Because the supervisor writes the latch, then a memory barrier, and then the decision, the latch that you read
-        is at least as new as the decision."""
+        It is then at least as new as the decision, because the supervisor writes the latch, then a memory barrier, and
+        then the decision."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """If the supervisor has decided the first reset in the queue, pass its decision to the client. A decision about
-        a reset that an earlier gate has passed on is ignored, because this gate passes the client's request on once
-        more."""
+        """Pass the supervisor's decision about the first reset in the queue to its client, if there is one. A decision
+        for an earlier gate is ignored, because this gate passes the client's request on once more."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return
@@ -169,8 +169,8 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """Return the session and the number of the request that the newest reply in this record answers. Both are 0 if no
-    reply was written, or if the newest one only reports progress."""
+    """Return (session, number) of the request that the newest reply in this record answers. (0, 0) if no reply was
+    written, or if it only reports progress."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

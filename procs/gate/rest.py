@@ -27,7 +27,7 @@ class Rest:
         return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """Record that a tick begins. If ticks were missed, the next ones do not come faster to make up for them."""
+        """Record that a tick begins. Missed ticks are not made up for."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:

@@ -21,8 +21,8 @@ class Frames:
         """The newest epoch. Every frame carries it, except motion frames."""
 
     def put(self, kind: int, body: bytes, now_ns: int, epoch: int | None = None) -> None:
-        """Put a frame into the ring. It carries the newest epoch, unless `epoch` is given. Motion frames give the epoch
-        in which motion was enabled."""
+        """Put a frame into the ring. `epoch`: for a motion frame, the epoch in which motion was enabled. Other frames
+        carry the newest epoch."""
         self._ring.put(records.FRAME.pack(self.epoch if epoch is None else epoch, kind, body), now_ns)
         self._port_owner_bell.ring()
 
@@ -31,8 +31,7 @@ class Frames:
 
 
 class GateBox:
-    """The gate's part of the black box. It has one record per tick, with the newest command and the resulting
-    speeds."""
+    """The gate's part of the black box: one record per tick, with the newest command and the resulting speeds."""
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring

@@ -1,13 +1,13 @@
 """Sources: which programs may command motion, and which of them has priority. Pure.
 
 Each source has a name, a priority and a timeout in the settings. Among the sources that have a fresh command, the one
-with the highest priority drives. A source with a higher priority takes over at once. When it has then been silent for
-its timeout, the source with the lower priority gets the wheels back, and the velocity starts from zero along the ramp.
-The gamepad in its drive mode is a source that has priority over all others. No setting and no client can use its name.
+with the highest priority drives. A source with a higher priority takes over at once. When that source was silent for
+its timeout, the lower source gets the wheels back, and the velocity starts from zero along the ramp. The gamepad in its
+drive mode has priority over all other sources. No setting and no client can use its name.
 
 Enabling motion moves nothing. A source that commands a velocity at that moment is held: its commands don't count until
 it has sent zero or was silent for its timeout. So a stick that is still pushed, or a program that never stopped
-commanding, does not drive the robot off, no matter how motion was enabled.
+commanding, does not make the robot drive off.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Command(Data):
 
     @property
     def by_hand(self) -> bool:
-        """True if a person drives through a program and ends a command by letting go of a key. False for the gamepad:
-        it reports its sticks as long as it is in range, so its silence means that it was lost."""
+        """True if a person drives through a program. Silence then means that a key was let go. False for the gamepad,
+        because its silence means that it was lost."""
         return self.manual and self.source != PAD_SOURCE
 
 
@@ -63,12 +63,12 @@ class Sources:
         """The command that drove at `_asked_ns`. It is kept because it is needed many times in each turn."""
 
     def allows(self, command: Command) -> bool:
-        """Return True if the sender of this command may use the command's source. Only the gamepad may use the
-        gamepad's source. Clients may use only the sources of the settings."""
+        """Return True if the command's sender may use its source. Only the gamepad may use the gamepad's source.
+        Clients may use the sources in the settings."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
-        """Return the source's last command, or None if it is older than the source's timeout."""
+        """Return the source's last command. None if there is none, or if it is older than the source's timeout."""
         command = self._commands.get(source)
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
@@ -82,8 +82,8 @@ class Sources:
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """Keep a source's new command. A time stamp from the future counts as now. If the source is held, this command
-        releases it if the command is zero, or if the source had paused before it."""
+        """Keep a source's new command. A time stamp from the future counts as now. A held source is released by a zero
+        command, or by its first command after a pause."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)
@@ -93,8 +93,8 @@ class Sources:
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
-        """Hold each source that commands a velocity while motion is being enabled. Its commands count again after it
-        has sent zero or paused. Returns the names of the held programs."""
+        """Hold each source that commands a velocity, because motion is being enabled. Returns the names of the held
+        programs. A source's commands count again after it has sent zero or paused."""
         fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
         self._held = {source: command.who for source, command in fresh.items() if command.moves}
         self._asked_ns = -1
@@ -109,10 +109,9 @@ class Sources:
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """Return the programs that commanded motion a short time ago, but whose last command is no longer fresh. Each
-        comes with the age of that command, ns. Programs that a person drives by hand are left out. For example, this
-        returns a program that commands less often than its timeout. Holding such a program would be useless, because
-        each of its pauses would release it."""
+        """Return (name, age of its last command in ns) of each program that commanded motion within the last
+        JUST_COMMANDED_NS and has paused since. Programs that a person drives by hand are left out. Don't hold these
+        programs, because each of their pauses would release them."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -126,15 +125,14 @@ class Sources:
         self._asked_ns = -1
 
     def clear(self) -> None:
-        """Forget which source drives, because motion was disabled. The sources' commands are kept, so that the next
-        enable can hold the sources that still command motion."""
+        """Forget which source drives and which are held, because motion was disabled. The commands are kept, so that
+        the next enable can hold the sources that still command motion."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
-        """Return the command that drives, or None. It is the fresh command of the source with the highest priority.
-        Held sources don't count."""
+        """Return the fresh command of the source with the highest priority that is not held, or None."""
         if now_ns != self._asked_ns:
             self._asked_ns = now_ns
             free = (self.fresh(source, now_ns) for source in self._rank if source not in self._held)
@@ -146,17 +144,17 @@ class Sources:
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
-        """Find the command that drives from now on (or None). The second value is True if the wheels go from one source
-        back to a source with a lower priority."""
+        """Choose the command that drives from now on. Returns (command or None, True if a source with a lower priority
+        gets the wheels back)."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """Return a table of the sources for people, the highest priority first. Every source with a fresh command has a
-        row, even while it is held. The source that drove last also has a row if it fell silent after commanding a
-        velocity, unless a person drove it by hand."""
+        """Return a table of the sources for people, the highest priority first. It has every source with a fresh
+        command, even a held one. It also has the last driver if that fell silent while commanding a velocity, unless a
+        person drove it by hand."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

@@ -15,11 +15,11 @@ For a motion frame, the checks are made in this order, and the first one that fa
     it is a whole motor frame, no faster than allowed        stop with a cause
     (no check has failed)                                    ADMIT: write it
 
-The port owner stops by itself if it is the first to notice a cause. After that, it refuses all motion until it sees an
-epoch that is newer than the one in which it stopped. If a frame that commands zero speed would be dropped while the
-wheels may turn, it gets STAND_STILL instead: the port owner writes a stop, because it is never too late to stop.
+The port owner stops by itself if it is the first to notice a cause. After that, it refuses all motion until a newer
+epoch. A zero-speed frame is not dropped while the wheels may turn. It gets STAND_STILL instead, and the port owner
+writes a stop.
 
-For a frame for the servos, all these checks except the last are made too. Instead of the last one, these follow:
+For a frame for the servos, all these checks except the last are made too. These follow:
 
     check                                                    if it fails
     the robot has an arm, and the frame is a whole one for   stop with a cause
@@ -33,12 +33,11 @@ For a frame for the servos, all these checks except the last are made too. Inste
     the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
       less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
-"The receiver" is the board's. While it passes a frame on to the servos, all later frames wait for it, even a stop. A
-servo move that has to wait is written one or two milliseconds late. If it were dropped instead, its joints would stop
-until the next move, one period later.
+While the board's receiver passes a frame on to the servos, all later frames wait for it, even a stop. A servo move may
+wait one or two milliseconds. It must not be dropped, because its joints would stop for one period.
 
-Before a motion frame is written, these invariants are checked too. They use facts that the checks above don't use. If
-an invariant is broken, the robot is stopped because of that defect (DEFECT):
+Before a motion frame is written, these invariants are checked too, from facts that the checks above don't use. A broken
+invariant stops the robot (DEFECT):
 
     the epoch only grows (checked whenever it changes)
     only one process writes the port owner's memory
@@ -131,9 +130,8 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Handle a change of the epoch. If the epoch is higher than before, there was a stop. If it is lower, this is a
-        defect, and its cause is returned. Motion is then admitted only in an epoch that is higher than every earlier
-        one."""
+        """Handle a change of the epoch. A higher epoch means that there was a stop. A lower epoch is a defect. Its
+        cause is returned, and motion is then admitted only in an epoch that is higher than every earlier one."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
@@ -151,8 +149,7 @@ class Admission:
 
 
 class BusSchedule:
-    """Computes when the servos' bus is free, from the frames that the port owner has written, and keeps the frames that
-    wait for the bus."""
+    """Computes when the servos' bus is free, from the written frames, and keeps the frames that wait for it."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
         """`bus`: the servos of the board's arm. `servos`: the ids of the robot's servos; empty for a robot without an
@@ -194,6 +191,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """Return the fault that a check has found, as text. Also call it a fault if the check returned something else than
-    a text. For example, a check that forgets to return a text returns None."""
+    """Return the fault that a check has found, as text. A result that is not a text, such as None, is reported as a
+    fault too."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

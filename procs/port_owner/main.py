@@ -135,8 +135,7 @@ class PortOwner:
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """Record a burst that was written for a cause which the port owner itself has noticed, and publish the cause.
-        The supervisor will answer with a new epoch. The burst is also the stop of the present epoch, even if this
-        process has not followed that epoch yet."""
+        It is also the stop of the present epoch, even if this process has not followed that epoch yet."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
@@ -144,7 +143,7 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
-        """Write a stop without publishing a cause, because the supervisor knows the cause already, or because the stop
+        """Write a stop without publishing a cause. Use it if the supervisor knows the cause already, or if the stop
         needs none."""
         self.wire.burst()
         self._stopped(monotonic_ns())
@@ -176,8 +175,8 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))
 
     def _hear_causes(self) -> None:
-        """Stop for each cause that telemetry has sent, for example because a button was pressed. If a cause is empty,
-        only write the stop once more (_stop_again)."""
+        """Stop for each cause that telemetry has sent, for example for a pressed button. An empty cause only repeats
+        the stop (_stop_again)."""
         while entry := self._causes.next():
             if not entry[2]:
                 self._stop_again()
@@ -186,8 +185,8 @@ class PortOwner:
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _stop_again(self) -> None:
-        """Write the stop of the wheels again, without a cause and without stopping the arm. If the line must be silent
-        now, write nothing, because the next zero frame stops the wheels too."""
+        """Write the stop of the wheels again, without a cause and without stopping the arm. While the line must be
+        silent, write nothing, because the next zero frame stops the wheels too."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -208,9 +207,9 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """Answer a new epoch, which means that there was a stop. Write a burst, unless the port owner has just stopped
-        by itself for the same cause. Also watch processes that were started again, and stop if the one before has died
-        unnoticed."""
+        """Answer a new epoch, which means that there was a stop. Write a burst, unless the port owner has stopped by
+        itself in the previous epoch and no motion was written since. Also watch processes that were started again, and
+        stop if the one before has died unnoticed."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -233,9 +232,9 @@ class PortOwner:
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """If motion was written since the last stop, stop in these cases: the lease of the gate or of the supervisor
-        has ended, the port owner itself was silent for too long, or the gate beats but sends no new motion. Otherwise
-        set a timer to the earliest time when such a lease or the gate's motion runs out."""
+        """While the wheels may move, stop if the lease of the gate or of the supervisor has ended, if this process was
+        silent for too long, or if the gate sends no new motion. Otherwise set a timer to the next time when a lease or
+        the gate's motion runs out."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -253,16 +252,16 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop once if the port does not drain. This must be checked before anything new is written, because new
-        bytes have not had time to drain."""
+        """Stop once if the port does not drain. Call it before anything new is written, because new bytes have not had
+        time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
-        """Read all frames that the gate has sent, and write those that may be written. Of several motion frames only
-        the newest counts. If the gate requests a stop, all motion from before it is dropped."""
+        """Read all frames that the gate has sent, and write those that may be written. Only the newest motion frame
+        counts. A stop that the gate requests drops all earlier motion."""
         motion = self._pop_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
@@ -285,16 +284,15 @@ class PortOwner:
             self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
-        """Write the burst that the gate has requested. If something moves, write it at once. If nothing moves, write it
-        only if the last burst is at least REST_NS old, so that clients which disable motion again and again can't fill
-        the line."""
+        """Write the burst that the gate has requested. If nothing moves and the last burst is younger than REST_NS,
+        skip it, so that clients which keep disabling motion can't fill the line."""
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_others(self) -> None:
-        """Write the waiting frames that are not motion, unless the line must be silent. Pings for clients, and frames
-        that the board's rules allow (check_aux), are written. Other frames are dropped."""
+        """Write the waiting frames that are not motion, unless the line must be silent. Drops frames that are neither
+        pings nor allowed by the board's rules (check_aux)."""
         while self._others and self.wire.free_ns <= monotonic_ns():
             frame = self._others.popleft()
             if frame in self.board.pings:
@@ -304,8 +302,8 @@ class PortOwner:
         self._others_due.set(self.wire.free_ns if self._others else NEVER)
 
     def _forward_arm(self) -> None:
-        """Write the waiting frames for the arm, in order. Each frame must be admitted, in the same way as motion. If a
-        frame has to wait, the frames behind it wait too."""
+        """Write the waiting frames for the arm, in order, if they are admitted. A frame that has to wait holds up the
+        frames behind it."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -362,8 +360,8 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Decide about a motion frame, and write it if it is admitted. If the line must first be silent, hold the
-        frame, and decide only when the silence is over."""
+        """Decide about a motion frame, and write it if it is admitted. While the line must be silent, hold the frame
+        and decide later."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
             self._held = motion
@@ -386,9 +384,8 @@ class PortOwner:
     def _write_motion(self, motion: DatedFrame) -> None:
         """Write an admitted motion frame. Set the word `moving`, then check epoch and time once more, then write.
 
-        Because of this order, another process that has raised the epoch and then reads 0 in `moving` knows: no outdated
-        frame is about to be written. So if the port owner is starved at this point, it need not be killed, however long
-        this lasts.
+        Other processes rely on this order. If one of them has raised the epoch and then reads 0 in `moving`, no
+        outdated frame is about to be written. It then need not kill a port owner that is starved at this point.
         """
         self._moving_word.set(1)
         self._barrier()
@@ -430,8 +427,7 @@ class PortOwner:
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
         """Read from the port, and write what the kernel did not take earlier. If the port is lost, stop with the cause
-        DEVICE_LOST. If the supervisor has sent a new port, adopt it. The supervisor has already written a stop to
-        it."""
+        DEVICE_LOST. Adopt a port that the supervisor has sent and has already written a stop to."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:
@@ -464,7 +460,7 @@ class PortOwner:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop for its death is written. A supervisor that ends the service kills
+    """Run until the supervisor has died and the stop for its death is written. To end the service, the supervisor kills
     the port owner instead."""
     owner = PortOwner(context)
     context.run(owner.turn, owner.loop, TICK_NS)

@@ -1,5 +1,5 @@
-"""MotionWriter: writes motion frames. It also sets the board's own watchdog, before the first motion after a stop, and
-again if the board has restarted, because a restart loses that setting."""
+"""MotionWriter: writes motion frames. It also sets the board's own watchdog before the first motion after a stop. After
+a restart of the board it does so again, because a restart loses that setting."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The open port: everything about it except how a stop is written. This file handles the loss of the port, a newly
-opened port, and the settings that the board must get after its port was opened. It also reads the board while telemetry
-does not run.
+"""The open port: its loss, its replacement, and the settings that the board gets after its port was opened. It also
+reads the board while telemetry does not run. port_writer.py writes the stops.
 
-Some boards are reset when their port is opened, and hear nothing at first. Motion must not begin before such a board
-hears and has received its settings. So its port counts as open only from then on.
+Some boards are reset when their port is opened, and hear nothing at first. Such a port counts as open only when the
+board hears and has received its settings, because motion must not begin before.
 """
 
 from __future__ import annotations
@@ -61,9 +60,9 @@ class OpenPort:
         self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """Send the board its settings, now that it can receive bytes. If the kernel does not take all of them, or if a
-        stop comes between them, they are sent again later. Only after that does the port count as open. Otherwise
-        motion could begin although the board's own watchdog was never set."""
+        """Send the board its settings, then publish the port as open. If the kernel does not take all settings, or if a
+        stop comes between them, try again later. Until then the port must not count as open, because the board's own
+        watchdog may not be set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -121,8 +120,8 @@ class OpenPort:
             pings.failed(now_ns)
 
     def ask_for_a_client(self, index: int) -> None:
-        """Write a ping that a client wants answered now, in addition to the regular pings. It is not published as the
-        newest ping. If it were, a board that clients ping very often would never count as deaf."""
+        """Write a ping that a client wants answered now. It must not be published as the newest ping. Otherwise a board
+        that clients ping very often would never count as deaf."""
         asked_ns = monotonic_ns()
         if asked_ns >= self.hears_ns:
             self._question(index, asked_ns)
@@ -152,13 +151,12 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch the port for its loss. If some bytes still have to be written, also watch for room to write. If
-        telemetry does not read the board's bytes (`heard` is False), also watch for these bytes.
+        """Watch the port for its loss. Also watch for room to write if bytes wait to be written, and for the board's
+        bytes if telemetry does not read them (`heard` is False).
 
-        The bytes are watched with EDGE. Without EDGE, after each frame from the board, the kernel would look for more
-        bytes at the next wait. To do this it needs a worker of ordinary priority, and the port owner would sleep until
-        the worker is done (n_tty_poll). So on a busy machine, the port owner could not notice a stop until other
-        processes let the worker run.
+        The board's bytes are watched with EDGE, unless bytes wait to be written. Without EDGE, the kernel looks for
+        more bytes at each wait, in a worker of ordinary priority (n_tty_poll). The port owner would sleep until that
+        worker has run, and notice stops late on a busy machine.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
         wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)

@@ -40,9 +40,9 @@ class PortWriter(StopPort):
         return taken
 
     def heed(self) -> None:
-        """Allow frames again after an early stop. Between the early stop and this call, only bursts are written. Call
-        it just before the loop looks for deaths. The thread that writes an early stop marks its lifeline before it
-        writes, so the loop will find the death."""
+        """Allow frames again after an early stop. Until then, only bursts are written. Call it just before the loop
+        looks for deaths. The loop then finds the death, because the thread marks its lifeline before it writes an early
+        stop."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -69,8 +69,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """From now on, record everything that is written to the port in the black box (`ring`), and first the burst
-        that was just written. Call this only after the first burst, because attaching the ring takes milliseconds."""
+        """From now on, record everything that is written to the port in the black box (`ring`), and first the last
+        burst. Call this only after the first burst, because attaching the ring takes milliseconds."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -79,10 +79,9 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Returns False if nothing was written. This is so if the kernel takes no byte, if the port is
-        lost, if an earlier write is not finished, or if the loop has not handled an early stop yet. It is also so if
-        more than `backlog` of this writer's bytes are still in the kernel, because the frame would arrive late behind
-        them."""
+        """Write one frame. Returns False if the port is lost or takes no byte, if an earlier write is not finished, or
+        if the loop has not handled an early stop yet. Also returns False if more than `backlog` of this writer's bytes
+        are still in the kernel, because the frame would arrive late behind them."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0

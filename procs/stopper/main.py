@@ -1,9 +1,9 @@
 """The stopper's loop. It waits until the port owner or the supervisor dies, or until the port owner falls silent. Then
-it writes the burst on its own descriptor of the port, and repeats zeros until a new port owner runs.
+it writes the burst on its own descriptor of the port, and repeats it until a new port owner runs.
 
-If the port owner is silent for too long, the stopper fences it, which means that it sends SIGKILL and writes the burst.
-When the process is gone, the stopper writes the burst again, because the port owner may have written one last frame
-after the first burst. If the supervisor works, it does all this before the stopper has to.
+If the port owner is silent for too long, the stopper fences it: it sends SIGKILL and writes the burst. When the process
+is gone, the stopper writes the burst again, because the port owner may have written one last frame after the first
+burst. A working supervisor does all this earlier.
 
 While the port owner is alive, all stops go through it, because only the port owner can make sure that no older motion
 frame follows a stop. So when the supervisor dies, the stopper gives the port owner a short time to write the stop
@@ -91,9 +91,8 @@ class Stopper:
             self._burst(now_ns)
 
     def _succeeded(self) -> bool:
-        """Return True if a new port owner runs. It stopped the wheels when it started, and motion may have been enabled
-        since. So a stopper that was held up must not interrupt that motion because of the death of the previous port
-        owner."""
+        """Return True if a new port owner runs. The new port owner stopped the wheels when it started, and motion may
+        have been enabled since. So the stopper must not stop for the previous port owner's death any more."""
         named = self._port_owner.named()
         return named != self._stopped_for and self._port_owner.heart.running(named)
 
@@ -107,9 +106,9 @@ class Stopper:
             self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
-        """After the supervisor's death, write the burst once the port owner has written its own stop, or once
-        FIRST_GO_NS are over. If the port owner has still not written a stop when the burst is repeated, kill it. Also
-        write the repeats of any other burst that are due."""
+        """Write the burst or its repeat when it is due. After the supervisor's death, the first burst waits for the
+        port owner's own stop, but at most for FIRST_GO_NS. If the port owner has not written a stop by the first
+        repeat, kill it."""
         self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
@@ -135,8 +134,7 @@ class Stopper:
 
     def _follow_port_owner(self, now_ns: int) -> None:
         """Watch the port owner whose pid the supervisor publishes. If it is silent for too long, kill it and write a
-        burst. But if it is silent because it is starved, and nothing moves, let it be silent for the same time once
-        more."""
+        burst. If it is starved and nothing moves, give it the same time again instead (_spares)."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         if now_ns >= self._hangs_ns():
@@ -148,8 +146,8 @@ class Stopper:
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
-        """Return True if the silent port owner need not be killed: it is starved, but not for longer than
-        starved.LONGEST_NS, and the last thing that was written to the wheels is a stop."""
+        """Return True if the silent port owner need not be killed. It must be starved, at most starved.LONGEST_NS past
+        its deadline, and the last write to the wheels must be a stop."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
@@ -166,7 +164,7 @@ class Stopper:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop for its death is written. A supervisor that ends the service kills
+    """Run until the supervisor has died and the stop for its death is written. To end the service, the supervisor kills
     the stopper instead."""
     stopper = Stopper(context)
     context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)

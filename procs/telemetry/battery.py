@@ -41,8 +41,8 @@ class LowBattery:
         self._low = 0
 
     def add(self, millivolts: int) -> Cause | None:
-        """Add a reading. Returns the cause of a stop at the last of LOW_READINGS low readings in a row, otherwise None.
-        Further low readings return None too. The count begins again after a reading that is not low."""
+        """Add a reading. Returns the cause of a stop once, at the last of LOW_READINGS low readings in a row, otherwise
+        None. A reading that is not low starts the count again."""
         self._low = self._low + 1 if millivolts < self._least_mv else 0
         return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
 
@@ -52,7 +52,7 @@ class Charger:
     mV for plugging in and -226 mV for unplugging."""
 
     def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
-        """`state`: the state before a restart of this process, if it is known."""
+        """`state`: the state before a restart of this process, if known."""
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []
         self._disabled_since_ns: int | None = None
@@ -80,8 +80,8 @@ class Charger:
 
 
 class BatteryLog:
-    """Makes the lines of the battery log, one per period (battery.log_s). Each line is made from the first reading that
-    comes when the line is due."""
+    """Makes one line of the battery log per period (battery.log_s), from the first reading that comes when the line is
+    due."""
 
     def __init__(self, settings: Settings) -> None:
         self._period_ns = settings.ns("battery.log_s")

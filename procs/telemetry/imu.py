@@ -22,7 +22,7 @@ NOT_STATIONARY = "robot not stationary during gyro calibration"
 
 
 class Accelerometer:
-    """Converts raw accelerations from g to m/s2, as (raw - offset) x scale x 9.80665."""
+    """Converts raw accelerations in g to m/s2: (raw - offset) x scale x 9.80665."""
 
     def __init__(self, settings: Settings) -> None:
         self._offsets_g = [settings[f"imu.offset_{axis}_g"] for axis in "xyz"]
@@ -50,9 +50,8 @@ class GyroBias:
     calibration. When the average covers one time constant (imu.tracking_tau_s), the bias begins to follow the samples
     with this time constant. After a calibration that failed, it follows them in this way at once.
 
-    In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8 minutes. It
-    drifted by 0.17 degrees if the bias followed with the time constant as soon as the calibration had ended (40 seeds;
-    docs/reference/telemetry.md).
+    In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8 minutes (40
+    seeds; docs/reference/telemetry.md).
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -86,8 +85,8 @@ class GyroBias:
         self._averaged_s = self._tau_s
 
     def follow(self, commanded: bool, now_ns: int) -> str:
-        """Record whether motion is commanded. If it is, a calibration is given up, and the bias does not change, even
-        if the gyro is quiet. Returns a line for the journal if a calibration was given up, otherwise an empty text."""
+        """Record whether motion is commanded. Motion ends a calibration, and the bias does not change during motion.
+        Returns a line for the journal if a calibration was given up, otherwise an empty text."""
         if not commanded:
             if self._resting_since_ns is None:
                 self._resting_since_ns = now_ns
@@ -97,7 +96,8 @@ class GyroBias:
         return self._not_stationary("it was told to drive") if self.samples is not None else ""
 
     def add(self, rate_radps: Vector, t_ns: int) -> str:
-        """Add a raw sample. Returns a line for the journal if a calibration has ended, otherwise an empty text."""
+        """Add a raw sample. Returns a line for the journal if this sample ends a calibration, otherwise an empty
+        text."""
         gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
         if self.samples is not None:

@@ -1,5 +1,5 @@
-"""Telemetry's loop. It reads bytes from the port, decodes them and publishes what they say. Buttons and keys become
-causes for the port owner. The gamepad's sticks and its reset become requests for the gate."""
+"""Telemetry's loop: reads the board's bytes, decodes them and publishes the values. A stop button or the stop key makes
+the port owner stop. The gamepad's sticks and its reset become requests to the gate."""
 
 from __future__ import annotations
 
@@ -58,9 +58,8 @@ BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The part of the gate's published state that telemetry needs: which motion is commanded, whether motion is
-    enabled, and whether a stop is latched. Until the gate has published a state, zero counts as commanded, motion as
-    disabled, and no stop as latched."""
+    """The commanded motion, whether motion is enabled, and whether a stop is latched, as the gate has published them.
+    Before the gate's first state: zero, disabled, no stop."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -87,8 +86,8 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state. Returns True if there is a new one. A gate that has been silent for too long counts as
-        a new state too, in which motion is disabled and zero is commanded."""
+        """Read the gate's state. Returns True if it is new. If the gate has been silent for more than HANG_NS, motion
+        counts as disabled and zero as commanded, which is a new state too."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:
@@ -194,8 +193,8 @@ class Telemetry:
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Create the readers of other processes' records and the table of handlers for the kinds of reports, and watch
-        everything that wakes telemetry."""
+        """Open other processes' records, choose a handler for each kind of report, and watch everything that wakes
+        telemetry."""
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
@@ -229,8 +228,8 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
     def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
-        """Continue from the wheels' turns that the previous telemetry process has published. How far the wheels turned
-        between that record and the first new report stays unknown."""
+        """Continue from the turns that the previous telemetry process has published. Turns made between that record and
+        the first new report stay unknown."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
@@ -243,8 +242,8 @@ class Telemetry:
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up. Samples of the IMU, which come most often, are published at once. If nothing else has
-        come, the rest of the turn is skipped until odometry is due."""
+        """Handle one wake-up. IMU samples are published at once. If only IMU samples have come, the rest of the turn
+        waits until odometry is due."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
@@ -301,8 +300,8 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """If the port is lost, wake the port owner, which does not read the port while telemetry runs. If a new
-        descriptor was adopted, forget what was read from the old one, even half a frame."""
+        """Wake the port owner if the port is lost. The port owner does not read the port while telemetry runs. After a
+        new descriptor was adopted, forget what was read from the old one, even half a frame."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
@@ -311,8 +310,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish the time of the board's last bytes, and how long the board may pause. Call this last, after
-        everything that was learned from these bytes was published."""
+        """Publish when the board last sent bytes, and how long it may pause. Call this last, after everything else from
+        these bytes was published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -358,7 +357,7 @@ class Telemetry:
             self._note("gyro", text, level=level, step=step)
 
     def _report_pad_mode(self) -> None:
-        """If the gamepad's mode has changed, log it, because it decides whether the sticks move the wheels."""
+        """Log the gamepad's mode if it has changed."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
@@ -369,8 +368,8 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """If there is a cause, make the port owner stop at once. Telemetry has seen the cause itself, so it does not
-        use the stop pipe. Anyone can write to that pipe, so a text in it is only a claim."""
+        """Make the port owner stop at once, if there is a cause. The stop pipe would not do here: anyone can write to
+        it, so its texts are only claims."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
@@ -405,8 +404,8 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Handle a report of the board about its wheels. If these reports show whether the wheels are still, the IMU is
-        no longer asked."""
+        """Handle a report about the wheels. While these reports show whether the wheels are still, the IMU is not used
+        for that."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)

@@ -12,7 +12,7 @@ BLIND = ", and no low battery stops the robot meanwhile"
 
 
 class OddReports:
-    """Makes only one note for each kind of impossible value, because every report may bring such a value again."""
+    """Makes one note for each kind of impossible value, however often the value comes."""
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops

@@ -1,9 +1,7 @@
-"""Wheel odometry: computes the robot's pose from the wheels' reports, or from the gate's commands if there are no
-reports. Pure.
+"""Wheel odometry: computes the robot's pose from the wheels' reports. Pure.
 
-The wheels' reports show how far the base has rolled, no matter what was commanded. From the first usable report on,
-only reports are used. Until then, the commands are added up instead (dead reckoning), and nobody should rely on that
-pose.
+Until the first usable report, the pose is computed from the gate's commands instead (dead reckoning). Do not rely on
+that pose. After the first usable report, only reports are used.
 """
 
 from __future__ import annotations
@@ -130,7 +128,7 @@ class Odometry:
         self.vy_mps = vy * self._scales[1]
 
     def advance(self, now_ns: int) -> None:
-        """Add the commanded motion up to now, along the heading at the middle of the step. Does nothing if reports are
+        """Add the commanded motion up to `now_ns`, at most LONGEST_STEP_NS of it. Does nothing once reports are
         used."""
         if self.source == BY_ROLLING:
             return
@@ -146,8 +144,8 @@ class Odometry:
         self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
 
     def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
-        """Move the pose by this distance and turn, along the heading at the middle of the move. Returns the cosine and
-        the sine of that heading."""
+        """Move the pose by this distance and turn, along the heading at the middle of the move. Returns that heading's
+        cosine and sine."""
         middle_rad = self.th_rad + turned_rad / 2
         ahead, aside = cos(middle_rad), sin(middle_rad)
         self.x_m += ahead_m * ahead - aside_m * aside
@@ -156,7 +154,7 @@ class Odometry:
         return ahead, aside
 
     def roll(self, measured: Measured) -> None:
-        """Move the pose by what the wheels have turned since the last report. Call it for each new report."""
+        """Move the pose by the wheels' turns since the last report. Call this for each new report."""
         turns, missed, t_ns = measured.turns, measured.missed, measured.t_ns
         if not turns or len(turns) != len(self._ways[0] if self._ways else ()):
             return  # the report has a different number of wheels than this robot

@@ -1,5 +1,7 @@
-"""The gamepad. Its buttons stop the robot. Its sticks drive it in the mode `drive`. The button MODE changes the mode,
-and requests a reset if it is held for long. This file also has the buzzer's sounds. Pure.
+"""The gamepad, and the buzzer's sounds. Pure.
+
+Every button except MODE stops the robot. In the mode `drive`, the sticks drive the robot. A press of MODE changes the
+mode, and a long press requests a reset.
 
 locked --MODE--> drive --MODE--> locked ...                           for a robot without an arm
 locked --MODE--> drive --MODE--> joint --MODE--> locked ...           for a robot with an arm
@@ -66,8 +68,8 @@ class PadNews(Data):
 
 
 class Pad:
-    """Follows the gamepad's state from frame to frame. If the gamepad falls silent in the mode `drive`, this class does
-    nothing. The gate then stops the wheels, because the gamepad's last command times out."""
+    """Follows the gamepad from frame to frame. If the gamepad falls silent while it drives, this class does nothing.
+    The gate stops the wheels when the gamepad's last command times out."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -105,8 +107,8 @@ class Pad:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """Record a stop. Call this also for a stop that was latched and reset before follow() saw it. If MODE is held
-        now, the time until now does not count towards a reset."""
+        """Record a stop. Call this even if the stop was reset before follow() saw it. Only a hold of MODE after
+        `now_ns` counts towards a reset."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
@@ -141,7 +143,7 @@ class Pad:
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """Return the cause of a stop if a button other than MODE was pressed, otherwise None. One frame is enough,
+        """Return the cause of a stop if a button other than MODE was just pressed, otherwise None. One frame is enough,
         because a short tap may last only one frame."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
@@ -187,9 +189,8 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """Return True if MODE, and no other button, was held for long enough while a stop was latched. True is returned
-        once per hold. If the hold began before the stop, only the time since the stop counts, because nobody can want
-        to reset a stop before it happens."""
+        """Return True, once per hold, if MODE alone was held for long enough while a stop was latched. The time before
+        the stop does not count."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
@@ -206,8 +207,7 @@ class Pad:
 
 
 class Tones:
-    """Chooses the buzzer's sounds. It makes a sound only if something has changed since the last call, and never if the
-    setting buzzer.tones is off."""
+    """Chooses the buzzer's sounds. Only a change makes a sound, and none does if buzzer.tones is off."""
 
     def __init__(self, *, on: bool) -> None:
         self._on = on
@@ -216,8 +216,7 @@ class Tones:
         before telemetry started makes no second sound."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
-        """Return the sound to make now, or None. A latched stop also locks the gamepad, but then only the sound of the
-        stop is made."""
+        """Return the sound to make now, or None. While a stop is latched, a change of the mode makes no sound."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
             return None

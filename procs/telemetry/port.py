@@ -17,8 +17,8 @@ PROVED_NS = 3_000_000_000
 
 
 class HeardPort:
-    """Reads the port's bytes. poll() returns them with the time when they came. This is the latest possible time, or
-    the earliest possible time if the bytes are old (LATE_NS)."""
+    """Reads the port's bytes. The time of the bytes is the time of the read, but old bytes (LATE_NS) get the earliest
+    time at which they can have come."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
@@ -34,8 +34,8 @@ class HeardPort:
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
-        """Replace the descriptor (-1 means no port). Bytes that already wait at the new port are dropped, because
-        nobody knows how old they are."""
+        """Replace the descriptor (-1 means no port). Drops the bytes that already wait at the new port, because their
+        age is unknown."""
         if self.fd >= 0:
             port.close_port(self.fd)
         self.fd, self.lost = fd, False
@@ -43,8 +43,8 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """Choose what wakes telemetry. While `busy`, and for PROVED_NS after each stop, new bytes at the port wake it.
-        Otherwise only the port's loss wakes it. `epoch`: the current epoch, which each stop raises."""
+        """Choose what wakes telemetry: new bytes while `busy` and for PROVED_NS after each stop, otherwise only the
+        loss of the port. `epoch`: the current epoch, which each stop raises."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)

@@ -1,6 +1,5 @@
-"""Proving: publishes what the board's answers and reports prove. The records say up to which time the board has handled
-all writes, and since when the board has reported that it obeys
-a command of zero although motion is commanded."""
+"""Proving: publishes which writes the board has handled, and since when the board has reported that it obeys zero
+although motion is commanded."""
 
 from __future__ import annotations
 
@@ -42,11 +41,11 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """If the board's own watchdog has ended the last motion, the time when that motion was written. Otherwise 0."""
+        """When the last motion was written, if the board's own watchdog has ended this motion. Otherwise 0."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """Record an answer, which belongs to one of the pings in `indices`."""
+        """Record an answer to one of the pings in `indices`."""
         before_ns = self._handled.asked_ns
         self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
@@ -54,7 +53,7 @@ class Proving:
             self._bell.ring()
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
-        """Record that the board has reported which command it obeys. `moves`: True if motion is commanded."""
+        """Record a report of the command that the board obeys. `moves`: True if motion is commanded."""
         self._record(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         told_ns = self._told_word.get()
@@ -66,8 +65,8 @@ class Proving:
         self._publish_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
-        """Forget since when the board has obeyed zero, if its last report about that has become old. Call this now and
-        then."""
+        """Clear `unheeded_ns` if the last report of the obeyed command is older than FORGOTTEN_NS. Call this
+        regularly."""
         if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
             self._publish_unheeded(0)
 

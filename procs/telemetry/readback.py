@@ -26,8 +26,8 @@ class ReadBack:
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report. Returns True if there is a new verdict, or if the previous verdict no longer holds. A report
-        with a NaN takes the verdict away, because it shows neither motion nor rest."""
+        """Add a report. Returns True if the report gives a verdict or withdraws one. A NaN or infinite value withdraws
+        the verdict."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0

@@ -1,14 +1,13 @@
 """Restart: detects from the board's bytes that the board has restarted. Pure.
 
-A board that restarts has forgotten its speed and its settings, and the next motion frame would set it moving again.
-Most restarts are short, because the board's program starts again right after its supply has dipped. There are four
-signs of a restart:
+A restarted board has forgotten its speed and its settings, and the next motion frame would move the wheels again. Most
+restarts are short: the supply dips, and the board's program starts again at once. There are four signs of a restart:
 
 - The board sends a text that it prints only when it starts.
 - Its counters fall to zero, although the wheels can't have turned that far since the last report.
-- It obeys zero although motion was commanded last, and it has already obeyed this motion.
-- Its reports pause for longer than usual, and are still missing a moment after the pause. If only an adapter has
-  stalled, it delivers the missing reports by then, all at once.
+- It reports that it obeys zero, although motion was commanded last and it has already obeyed this motion.
+- Its reports pause, and the missing reports do not arrive within KEPT_NS after the pause. An adapter that has only
+  stalled delivers them all at once.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ OBEYS_ZERO = "it obeys zero and was told to drive"
 
 
 class RestartWatch:
-    """Looks for signs of a restart. Each method that gets a report returns the sign that it found, in words, or an
-    empty text. When a sign was found, everything is forgotten, so that each restart is found only once."""
+    """Looks for signs of a restart. Each method that gets a report returns the sign that it found as text, or an empty
+    text. After a sign, everything is forgotten, so each restart is found only once."""
 
     def __init__(self, silent_ns: int) -> None:
         """`silent_ns`: how long the reports must pause, in ns, to be a sign of a restart. 0 if the board sends no
@@ -97,9 +96,8 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Judge whether the board has restarted during a pause in its reports. It has if too few of the reports that
-        were due in the pause have come since then (MISSING), unless the counters have continued from their last
-        values."""
+        """Judge a pause in the reports. The board has restarted if too many of the reports that were due have not come
+        (MISSING). It has not restarted if its counters continued from their last values."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)
@@ -130,9 +128,8 @@ class RestartWatch:
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Handle a text that the board prints when it starts, or another sign of a start that the board itself sends.
-        Until the first report has come, such a sign does not count, because some boards restart when their port is
-        opened."""
+        """Handle a sign of a start that the board itself sends, for example a text. The sign counts only after the
+        first report, because some boards restart when their port is opened."""
         return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

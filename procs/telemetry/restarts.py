@@ -12,9 +12,8 @@ from failstop.procs.telemetry.restart import RestartWatch
 
 
 class Restarts:
-    """Counts the board's restarts. When the count changes, the port owner sends the board its settings again. If the
-    board restarts while motion is enabled, the robot is stopped, because the next motion frame would set it moving
-    again."""
+    """Counts the board's restarts, so that the port owner sends the board its settings again. Stops the robot if the
+    board restarts while motion is enabled, because the next motion frame would move the wheels again."""
 
     def __init__(
         self, context: Context, enabled: Callable[[], bool], note: Callable[..., None], stop: Callable[[Cause], None]

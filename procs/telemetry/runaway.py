@@ -1,9 +1,9 @@
 """Runaway: detects from the board's reports that a wheel does not follow its commands. Pure.
 
-Each report is compared with all speeds that were commanded during the time that the report may describe. If a wheel
-turns faster than all of them, or in the other direction, it gets the time that it needs to slow down from its earlier
-speed. If it has not slowed down by then, it has run away. If a wheel stands still although it is commanded to turn,
-people only get a warning. procs/telemetry/runaway.md explains the thresholds.
+Each report is compared with all speeds that were commanded in the time that the report may describe. A wheel that turns
+faster than these speeds, or the wrong way, gets time to slow down. If the wheel has not slowed down by then, it has run
+away. A wheel that stands still although it should turn only causes a warning. procs/telemetry/runaway.md explains the
+thresholds.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class Limits(Data):
     """A wheel may stand still if its commanded speed is below this, in turns per second."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """Return how long a wheel may turn faster than commanded before it can count as run away, in ns. This is the
-        time that it needs to slow down from `told_rps`, and BEYOND_NS."""
+        """Return how long a wheel may turn too fast before it can count as run away, ns: BEYOND_NS plus the time to
+        slow down from `told_rps`."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
@@ -116,8 +116,8 @@ class Finding(Data):
 
 
 class _Wheel:
-    """What the judge remembers about one wheel, above all two times: since when it turns faster than commanded or in
-    the other direction, and since when it stands still."""
+    """The judge's memory of one wheel: since when the wheel has turned too fast or the wrong way, and since when it has
+    stood still."""
 
     __slots__ = (
         "before_rps",
@@ -147,25 +147,25 @@ class _Wheel:
         self.beyond_ns, self.before_rps = 0, 0.0
 
     def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
-        """Record that from `since_ns` on the wheel turns faster than commanded, or in the other direction. `side`: 1 if
-        its speed is too high, -1 if it is too low. `rolls_ns`: how long the wheel may do this before it counts as run
-        away. `every_ns`: the time between two reports."""
+        """Record that the wheel turns too fast or the wrong way from `since_ns` on. `side`: 1 if its speed is too high,
+        -1 if it is too low. `rolls_ns`: how long this may last before the wheel counts as run away. `every_ns`: the
+        time between two reports."""
         self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
         self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
         self.halves = [0.0, 0.0, 0.0, 0.0]
 
     def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
-        """Add a report of a wheel that turns faster than commanded, or in the other direction. `weight`: the time that
-        the report covers, ns."""
+        """Add a report of a wheel that turns too fast or the wrong way. `weight`: the time that the report covers,
+        ns."""
         self.reports += 1
         half = 2 * (t_ns > self.second_ns)
         self.halves[half] += seen_rps * weight
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """Return True if the wheel slows down by more than one count of the encoder and a late report can explain. Also
-        return True if nobody can tell, because one of the two halves (see SLOWS) has no report. `count`: one count, in
-        turns times ns. `late_ns`: how late a report may be."""
+        """Return True if the wheel slows down (see SLOWS) even if the reports are off by `count` and `late_ns`. Also
+        return True if one of the two halves has no report. `count`: one count of the encoder, in turns times ns.
+        `late_ns`: how late a report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -173,12 +173,8 @@ class _Wheel:
 
 
 class RunawayJudge:
-    """Judges whether the wheels follow their commands. Call follow() at each turn with the speeds that the gate
-    commands, and add() for each report of the board, in order of time.
-
-    add() returns a Finding if a wheel has run away, or stands still although it should turn. It returns None if all is
-    well or if nothing can be said.
-    """
+    """Judges whether the wheels follow their commands. Call follow() with the commanded speeds at each turn, and add()
+    for each report of the board, in order of time."""
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
         """`wheels`: the wire ids of the robot's wheels."""
@@ -228,8 +224,8 @@ class RunawayJudge:
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
         """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
-        the first wheel that does not turn as commanded, or None. If a wheel that has run away does not slow down, it is
-        returned again each time the whole allowed time has passed once more."""
+        the first wheel that has run away, or stands still although it should turn. Returns None if all is well or
+        nothing can be said. A wheel that still does not slow down is returned again after the whole allowed time."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -288,10 +284,8 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """Return the longest gap between two reports, in ns, for which this holds: if a wheel is too fast in both
-        reports, it counts as too fast between them. In a longer gap, it may have done anything. If the reports are
-        positions, the gap may be longer, because a position shows how far the wheel has turned since the previous
-        report."""
+        """Return the longest gap between two reports, ns, in which a wheel counts as too fast because both reports say
+        so. Positions allow a longer gap, because they show how far the wheel has turned in the gap."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

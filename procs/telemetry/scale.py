@@ -1,9 +1,8 @@
 """Scale: compares how fast the wheels and the robot turn with what was commanded. Pure.
 
-It uses only measurements that don't depend on the setting board.per_rps, the scale of the commands. These are the
-gyro's turn rates, and the wheels' speeds if the board reports them with a scale of its own. A wheel lags behind its
-command, so the comparison begins a moment after the command has changed. The shorter the compared time, the larger a
-difference must be before it is reported.
+It uses only measurements that don't depend on board.per_rps, the scale of the commands. These are the gyro's turn
+rates, and the wheels' speeds if the board reports them with its own scale. The comparison begins a moment after each
+change of the command, because wheels lag. After a short comparison, only a large difference is reported.
 """
 
 from __future__ import annotations
@@ -99,8 +98,8 @@ class Ratio:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, least: float, most: float) -> bool:
-        """Return True if the ratio is certainly below `least` or above `most`. While the command rises, a wheel may lag
-        behind it without being too slow, so only `most` is checked then."""
+        """Return True if the ratio is certainly below `least` or above `most`. While the command rises, only `most` is
+        checked, because wheels lag behind."""
         risen, reached = self.risen, self.reached
         if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
             return True
@@ -145,8 +144,8 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare the commanded with the measured motion since the last call. Returns True if `wrong` or `remarks` was
-        empty before and is not now, or the other way round.
+        """Compare the commanded with the measured motion since the last call. Returns True if `wrong` or `remarks` has
+        become empty, or is no longer empty.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
         `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.

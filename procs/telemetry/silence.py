@@ -1,7 +1,7 @@
-"""Silence: keeps when the board last sent something, and after which pause the board counts as silent. Pure.
+"""Silence: when the board last sent something, and how long it may pause before it counts as silent. Pure.
 
-Only a board that sends reports without being asked can be judged by its pauses. If a board sends only answers, its
-silence shows as unanswered pings, which the supervisor judges (supervisor/proof.py).
+This works for boards that send reports without being asked. If a board sends only answers, the supervisor judges its
+silence by the unanswered pings (supervisor/proof.py).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Silence:
             self.patience_ns = 0 if self._asked or not every_ns else max(LEAST_PAUSE_NS, DESCRIBED_PAUSES * every_ns)
 
     def heard(self, kinds: Collection[int], came_ns: int) -> None:
-        """Record that bytes have come, with the kinds of the reports in them. `kinds` is empty if they were
+        """Record that bytes have come. `kinds`: the kinds of the reports in them. Empty if the bytes were
         unreadable."""
         if kinds:
             self._understood_ns = came_ns

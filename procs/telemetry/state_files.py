@@ -1,5 +1,5 @@
-"""Files in the state directory. A thread writes them, because a slow disk must not hold up the loop. Each write is done
-completely or not at all. If it fails, the only effect is one line in the journal."""
+"""Files in the state directory. A thread writes them, so that a slow disk can't hold up the loop. Each write happens
+completely or not at all. A failed write only adds a line to the journal."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
-    """Append a whole line to a file. If the file is new, begin it with the header. If this raises OSError, the content
-    of the file is as it was before."""
+    """Append a whole line to a file. A new file begins with the header. Raises OSError, and then the file is
+    unchanged."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
@@ -49,8 +49,7 @@ def write_whole(path: str, text: str) -> None:
 
 
 class StateFiles:
-    """Passes jobs to the thread, and returns their results. Only _work() runs in the thread; everything else runs in
-    the loop."""
+    """Reads and writes the files. Only _work() runs in the thread; everything else runs in the loop."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
@@ -62,8 +61,8 @@ class StateFiles:
         self._running = False
 
     def read(self, what: str, name: str) -> str:
-        """Return the text of a file, or an empty text if the file does not exist or can't be read. Call it only at the
-        start, because it reads the disk directly, without the thread."""
+        """Return the text of a file, or an empty text if it does not exist or can't be read. Call this only at the
+        start, because it waits for the disk."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:

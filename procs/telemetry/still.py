@@ -1,8 +1,9 @@
 """Still: judges from the gyro whether the wheels are still. Pure.
 
-Turning wheels shake the robot. The shaking shows in the standard deviation of gyro x and gyro y over a window of
-samples. Sometimes the wheels turn and hardly shake the robot, so a single quiet window may be chance. The verdict is
-"still" only after all windows were quiet for HOLD_NS, counted from the end of the first quiet one.
+Turning wheels shake the robot. The shaking shows in the standard deviation of gyro x and y over a window of samples. A
+single quiet window may be chance, so the verdict is "still" only after all windows were quiet for HOLD_NS, counted from
+the end of the first quiet one.
+
 docs/reference/telemetry.md has measurements: how often the verdict is wrong and how late it comes, for several values
 of WINDOW_NS and HOLD_NS, and what changes with the rate of the IMU.
 """
@@ -20,11 +21,10 @@ no lasting effect."""
 
 
 class StillJudge:
-    """Decides since when the wheels have been still. The gyro's bias does not matter, because it does not change the
-    standard deviation.
+    """Decides since when the wheels have been still. The gyro's bias makes no difference.
 
-    If turning wheels shake the robot by less than the limit, they count as still. On the robot, this is the case when
-    it drives straight at less than about 0.08 m/s.
+    Turning wheels count as still if they shake the robot by less than the limit. On the robot, this happens when it
+    drives straight at less than about 0.08 m/s.
     """
 
     def __init__(self, std_radps: float) -> None:
@@ -47,7 +47,7 @@ class StillJudge:
         windows are quiet but have not been quiet for HOLD_NS."""
 
     def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
-        """Add one finite sample. It may contain the bias or not. Takes about 2 us."""
+        """Add one finite sample, with or without the bias. Takes about 2 us."""
         if not 0 <= t_ns - self._last_ns <= GAP_NS:
             self._samples.clear()
             self._sums, self._begun_ns = (0, 0, 0, 0), t_ns

@@ -1,16 +1,16 @@
 """Unasked: how telemetry reacts if the wheels turn although zero is commanded. Pure.
 
-What it does depends on the state of the gate:
+The reaction depends on the state of the gate:
 
     motion enabled         nothing, because the gate reads the same fact and disables motion with a burst
     motion was disabled    write the stop again; if the wheels still turn after still.after_s, latch a stop (UNSTILL)
       because they turned
     motion disabled for    write the stop again, and report it: somebody pushes the robot, or another program drives it
       another reason
-    a stop is latched      nothing until the wheels were seen still once, because the supervisor watches until then
-                           whether the stop works; after that, the same as if motion is disabled for another reason
+    a stop is latched      nothing until the wheels were once seen still, because the supervisor watches the stop until
+                           then; after that, the same as if motion is disabled for another reason
 
-If the motion is seen only by an IMU, telemetry only logs a note, because a robot that is carried shakes too.
+If only an IMU shows the motion, telemetry just logs a note, because a robot that is carried shakes too.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Unasked:
     """Decides the reaction. Call update() at each change of the wheels or of the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long the wheels may still turn before a stop is latched, if motion was disabled because they
-        turned. It is also the shortest time between two writes of the stop."""
+        """`after_ns`: how long the wheels may still turn after motion was disabled because they turned. It is also the
+        shortest time between two writes of the stop."""
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0

@@ -1,8 +1,7 @@
-"""Wheels: what is known about the wheels at the moment. It comes from the board's reports, or from the IMU if there are
-none. Pure.
+"""Wheels: whether the wheels turn, are still, or nobody knows. Pure.
 
-All screens show one and the same fact: the wheels turn, or they are still, or nobody knows. An IMU can't tell whether
-the wheels turn or somebody moves the robot, so the board's own reports have priority.
+The board's reports decide. The IMU decides only if there are no reports, because it can't distinguish turning wheels
+from a robot that is moved by hand. All screens show this one fact.
 """
 
 from __future__ import annotations
@@ -46,11 +45,10 @@ def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
 
 
 class Measured:
-    """Keeps the speeds and turns of the wheels, by wire id, as the board reports them.
+    """The speeds and turns of the wheels, by wire id, as the board reports them.
 
-    An impossible report is ignored. If a counter jumps and the next report continues from the new value, the new value
-    is believed, but the jump does not count as turns. Either the board has restarted, or somebody has reset its
-    counters.
+    An impossible report is ignored. If a counter jumps and the next report continues from the new value, the board has
+    restarted or its counters were reset. The new value is then believed, but the jump does not count as turns.
     """
 
     def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
@@ -84,8 +82,7 @@ class Measured:
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report of the board, in the board's own units. Returns True if `speeds_rps` now comes from this report,
-        and False if it still comes from an earlier one."""
+        """Add a report of the board, in the board's own units. Returns True if this report has set `speeds_rps`."""
         told = self._reports
         rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
         counts = positions if self.counts else ()
@@ -185,16 +182,16 @@ class Measured:
 
 
 class Way:
-    """Checks whether the wheels have moved since they were last at rest. It matters only if the board reports positions
-    and no speeds: if the encoder rests on an edge, a count may flip back and forth, which is no movement."""
+    """Checks whether the wheels have really moved since they were last at rest. The count of an encoder that rests on
+    an edge may flip back and forth. This matters only if the board reports positions and no speeds."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """Return True if the wheels have moved further than a flipping count explains. Always True if the board reports
-        speeds, or no positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
+        """Return True if the wheels have moved by at least LEAST_COUNTS. Always True if the board reports speeds, or no
+        positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):

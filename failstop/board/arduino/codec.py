@@ -3,16 +3,16 @@ with one line.
 
 Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checksum, so its form must protect it:
 
-- The stop begins with a CR. If the line before the stop was cut short, this CR ends it. Without the CR, the board would
-  read the stop as more digits of the cut line, and then execute that line.
-- Both speeds carry their sign, and a comma ends the first speed, because the firmware's atoi stops reading at a sign or
-  a comma. So two joined lines, or two speeds that lost the space between them, can't become one larger speed unless
-  three bytes are lost. A letter in place of the comma would be worse, because the board could take it for the command.
-- Speeds have at most three digits. So even if a cut line and the next line are joined, no argument gets longer than the
-  16 bytes that the firmware has for it.
+- The stop begins with a CR, which ends a line that was cut short. Without the CR, the board would read the stop as more
+  digits of the cut line, and then execute that line.
+- Both speeds carry their sign, and a comma ends the first speed. The firmware's atoi stops reading at a sign or a
+  comma. So two joined lines, or two speeds that lost the space between them, can't become one larger speed unless three
+  bytes are lost. A letter in place of the comma would be worse, because the board could take it for the command.
+- Speeds have at most three digits. So even if a cut line and the next line are joined, every argument fits into the 16
+  bytes that the firmware has for it.
 
 If a digit is lost, the wheel turns slower. If a minus is lost, the wheel turns the other way at the same speed. No form
-of this line can prevent the second case.
+of this line can prevent that.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def check_aux(frame: bytes) -> str:
-    """Say why these bytes must not be written to set a pin. Returns "" if they may be written. The commands for pins
-    are w (digital), x (PWM) and c (direction)."""
+    """Say why these bytes must not be written to set a pin; "" if they may. The pin commands are w (digital), x (PWM)
+    and c (direction)."""
     found = _AUX.fullmatch(frame)
     if not found:
         return "no line that sets a pin"
@@ -67,8 +67,8 @@ def check_aux(frame: bytes) -> str:
 
 
 def answers() -> LineReader:
-    """Make a reader for the answers. The board sends nothing but answers. They come in the order of the lines that were
-    written, but an answer does not say which line it belongs to."""
+    """Make a reader for the answers. They come in the order of the lines, but an answer does not name its line. The
+    board sends nothing else."""
     return LineReader(_samples, LONGEST_ANSWER)
 
 

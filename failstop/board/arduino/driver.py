@@ -1,14 +1,14 @@
 """The lines that a driver may write to ros_arduino_bridge, and the answers that the driver gets.
 
 The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last byte
-before the first space. Two arguments follow, each after one space, and any further space changes nothing. A CR ends the
+before the first space. Two arguments follow, each after one space, and further spaces change nothing. A CR ends the
 line, and the board then executes it, even if an argument is missing. Numbers are read as atoi() reads them, into 16
-bits. An argument of more than 15 bytes would overwrite the memory next to it on the board, so a line with such an
-argument is refused.
+bits. A line with an argument of more than 15 bytes is refused, because on the board the argument would overwrite the
+memory next to it.
 
-Every line gets one answer, in order. Even a refused line gets the answer that the board would give, because a driver
-needs it. If diffdrive_arduino gets no answer to `e`, or a different one, it reads the counts as 0 0. If hbrobotics'
-node gets any answer but `OK` to u, r, w, x, c, s or m, it sends the command again forever.
+Every line gets one answer, in order. A refused line gets the answer that the board would give. Without the right answer
+to `e`, diffdrive_arduino reads the counts as 0 0. Until hbrobotics' node gets `OK` to u, r, w, x, c, s or m, it sends
+the command again, forever.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _LOST_NS = 100_000_000
 """How long a question for the counts, caused by a driver's `e`, may stay unanswered, in ns. Until then, another `e`
 causes no new question. After that, the question counts as lost."""
 _STEADY_NS = 200_000_000
-"""How old, in ns, the counts may be that the board reported after a driver's previous `e`. If they are younger, the
-driver's next `e` is answered with these counts. If they are older, it is answered with the newest counts."""
+"""The driver's next `e` is answered with the counts that the board reported after its previous `e`, if they are younger
+than this, in ns. Otherwise it is answered with the newest counts."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -74,10 +74,10 @@ class ArduinoDriver:
     """Reads the lines that one driver program writes to the guard port, and answers them as the board would. The counts
     begin at 0, because a driver expects that opening the port resets the board.
 
-    When the driver sends `e`, failstop answers at once, and asks the board for new counts. The answer to the driver has
-    the counts that the board reported after the driver's previous `e`. So the counts of a driver that asks at a steady
-    rate always have the same age. failstop also asks for counts for its own use, at other times. The age of such counts
-    varies, so a driver gets them only if it asks less often than every 200 ms (_STEADY_NS).
+    When the driver sends `e`, failstop answers at once with the counts that the board reported after the driver's
+    previous `e`, and asks the board for new counts. So the counts of a driver that asks at a steady rate always have
+    the same age. failstop also asks for counts for its own use, at other times. A driver gets these only if it asks
+    less often than every 200 ms (_STEADY_NS), because their age varies.
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
@@ -121,8 +121,8 @@ class ArduinoDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Store the counts that the board reports. Always returns an empty list, because the board sends only answers,
-        and failstop answers the driver itself."""
+        """Store the counts that the board reports. Always returns an empty list: the board sends only answers, and
+        failstop answers the driver itself."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
                 left, right = sample.positions
@@ -132,8 +132,8 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Copy the counts from `before`, which is the ArduinoDriver of the same driver program from before the service
-        restarted. If the counts began at zero again, the program's odometry would jump."""
+        """Copy the counts from `before`, the same driver program's ArduinoDriver from before the service restarted. If
+        the counts began at zero again, the program's odometry would jump."""
         self._counts = self._kept = list(before._counts)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -184,8 +184,8 @@ class ArduinoDriver:
         return [DriverFrame(codec.POSITIONS, "counts")]
 
     def _pin(self) -> DriverFrame | None:
-        """If the driver's line sets a pin that the driver may set, return this line as failstop writes it. Returns None
-        for any other line."""
+        """Return the driver's line as failstop writes it, if it sets a pin that the driver may set. None for any other
+        line."""
         command = chr(self._command)
         pin, value = (_atoi(bytes(argument)) for argument in self._arguments)
         line = f"{command} {pin} {value}\r".encode()

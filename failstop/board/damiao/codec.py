@@ -4,19 +4,21 @@ Their firmware is closed. The sources are the vendor's manuals (DM-H3510 V1.0, D
 vendor's Python host (cmjang/DM_Control_Python 7da9387), and two other hosts: damiao-motor 1.0.6 and enactic/openarm_can
 9866604. Each number here is in at least two of these sources.
 
-A frame with the CAN id 0x200 plus a motor's id sets the speed of this motor, in rad/s of its output shaft, as a
-little-endian float. A frame with the motor's id as its CAN id has `ff ff ff ff ff ff ff` and one more byte: fc enables
-the motor, fd disables it, and fb clears a fault. A frame with the CAN id 0x7ff names a motor and a command: 33 reads a
-register of this motor, 55 writes one, and cc asks for a report. A written register keeps its value until the power goes
-off. A motor answers every frame with a report, which has the motor's status and id, position, speed, torque and
-temperatures.
+The CAN id of a frame shows what the frame does:
+
+- 0x200 plus a motor's id sets the motor's speed, in rad/s of its output shaft, as a little-endian float.
+- A motor's id, with `ff ff ff ff ff ff ff` and one more byte: fc enables the motor, fd disables it, fb clears a fault.
+- 0x7ff names a motor and a command: 33 reads a register, 55 writes one, cc asks for a report. A written register keeps
+  its value until the power goes off.
+
+A motor answers every frame with a report of its status and id, position, speed, torque and temperatures.
 
 A stop is a speed of zero: the motor brakes and holds. Disabling it would let it roll.
 
 Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for that long switches itself off,
 and rolls until somebody clears this fault. So each time motion is enabled, failstop clears the faults and enables the
-motors before it writes the first motion. If a motor switches itself off while it drives, failstop treats this as a
-restart of the board, and stops the other motors.
+motors before the first motion. If a motor switches itself off while it drives, failstop treats this as a restart of the
+board, and stops the other motors.
 """
 
 from __future__ import annotations
@@ -170,9 +172,9 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def check_aux(self, frame: bytes) -> str:
-        """Say why these bytes must not be written as a frame that is not motion. Returns "" if they are a question that
-        reads one of the registers 0 to MOST_REGISTER. A higher number is refused: if such a question lost two
-        characters, the motor could read the rest as a command to write a register."""
+        """Say why these bytes must not be written as a frame that is not motion. Returns "" if they read one of the
+        registers 0 to MOST_REGISTER. If a question for a higher number lost two characters, the motor could read the
+        rest as a command to write a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -236,9 +238,9 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """Handle a motor's confirmation that a register was written. Only the frames of Motors.arm set the watchdog's
-        time, and the same frames enable all motors. So when one motor confirms the time, every motor counts as enabled.
-        A motor that has missed its enable frame will report that it is off."""
+        """Handle a motor's confirmation that a register was written. Only Motors.arm sets the watchdog's time, and it
+        also enables all motors. So when one motor confirms the time, every motor counts as enabled. A motor that has
+        missed its enable frame will report that it is off."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -262,9 +264,9 @@ class Replies(Reader):
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 
     def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
-        """Return a Restarted if a motor has lost a value that Motors.arm has set. A motor that is no longer in speed
-        mode would misunderstand a speed command. A motor that has lost its watchdog's time would not stop itself. A
-        single answer may be garbled, so several answers in a row must differ (DIFFERS)."""
+        """Return a Restarted if a motor has lost a value that Motors.arm has set. Without the speed mode, the motor
+        would misunderstand a speed command. Without its watchdog's time, it would not stop itself. Several answers in a
+        row must differ (DIFFERS), because one may be garbled."""
         motor = self._motors[number_]
         if not motor.set or index not in motor.differs:
             return []
@@ -298,8 +300,8 @@ class Replies(Reader):
                 motor.misses += number_ not in self._answered
 
     def _wheels(self) -> list[Sample]:
-        """Return the speeds of all motors. Returns an empty list until every motor has reported its scale (V_MAX), and
-        a new speed since this method last returned speeds."""
+        """Return the speeds of all motors. Returns an empty list until each motor has reported its scale (V_MAX), and a
+        new speed since the last returned speeds."""
         every = list(self._motors.values())
         speeds: list[float] = []
         for motor in every:

@@ -3,16 +3,15 @@
 A driver opens the adapter, enables the motors, and then sets their speeds. These drivers do so: damiao-motor 1.0.6
 through the slcan of python-can 4.6.1, the vendor's DM_Control_Python (7da9387), and openarm_can behind slcand
 (9866604). A speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept
-both. failstop answers each speed, and each command to enable or disable a motor, with the motor's newest report. If the
-motor has reported a fault, the status in this answer is the fault. Otherwise the status says whether the driver has
-enabled the motor. A driver's question for a register is passed on to the motor, and the answer is passed back. Answers
-to failstop's own questions are not passed on.
+both. failstop answers each speed, and each command to enable or disable a motor, with the motor's newest report. The
+status in this answer is the motor's fault, if any. Otherwise it says whether the driver has enabled the motor. A
+driver's question for a register is passed on to the motor, and the answer is passed back. Answers to failstop's own
+questions are not passed on.
 
-failstop itself enables the motors and opens the adapter. So when a driver opens or closes the adapter, or enables or
-disables a motor, failstop passes nothing on, and only remembers the driver's command. If the driver has closed the
-adapter, it moves no motor until it opens the adapter again. If the driver has disabled a motor, it can't move this
-motor until it enables the motor again. Commands for a torque or a position are refused, and the wheels stop, because
-failstop can't limit their speed.
+failstop itself opens the adapter and enables the motors. So it does not pass on the driver's commands to open, close,
+enable or disable, and only remembers them. If the driver has closed the adapter, it moves no motor until it opens the
+adapter again. If the driver has disabled a motor, this motor does not move until the driver enables it again. Commands
+for a torque or a position are refused, and the wheels stop, because failstop can't limit their speed.
 
 The wheels also stop after an incomplete line. A CANable would complete the line with digits of an older line, so the
 line could mean anything. After that, nothing moves until the driver has opened the adapter again. For each motor, the
@@ -36,8 +35,8 @@ if TYPE_CHECKING:
 PATIENCE_NS = 1_000_000_000
 """How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""A new DamiaoDriver first gets the bytes that the motors sent shortly before the driver opened the port. This is the
-length of that time, in ns. Every motor sends at least one report in it."""
+"""How far back a new DamiaoDriver gets the bytes that the motors sent before the driver opened the port, in ns. Every
+motor sends at least one report in this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
@@ -88,8 +87,8 @@ class DamiaoDriver:
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Store the motors' reports, because failstop answers the driver's next frames with them. Returns the motors'
-        answers about registers that the driver has asked for."""
+        """Store the motors' reports, which answer the driver's next frames. Returns the motors' answers about registers
+        that the driver has asked for."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):
             if can_id >= codec.SPEED_ID:
@@ -105,9 +104,9 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """Handle one line. `line` does not include its carriage return. An empty line does nothing here, although it
-        makes a CANable repeat its newest command. A line of zeros does nothing either. If such a line is long, the
-        adapter may split it into several lines, but no line of zeros is a command."""
+        """Handle one line, without its carriage return. An empty line does nothing here, although it makes a CANable
+        repeat its newest command. A line of zeros does nothing either. The adapter may split a long one into several
+        lines, but no line of zeros is a command."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []
@@ -130,8 +129,8 @@ class DamiaoDriver:
         return self._frame(*frame) if self._open else self._unknown(_CLOSED)
 
     def _unknown(self, why: DriverRefusal) -> list[Row]:
-        """Stop the wheels after a line that could mean anything. From then on nobody knows what the bare adapter and
-        its motors would do, so the driver must set them up again."""
+        """Stop the wheels after a line that could mean anything. Nobody knows what the bare adapter and its motors
+        would do after that, so the driver must set them up again."""
         self._open = False
         self._enabled = [False] * len(self._speeds)
         self._takes_speeds = [False] * len(self._speeds)
@@ -163,9 +162,9 @@ class DamiaoDriver:
         return [self._motion(), *self._report(motor)]
 
     def _switch(self, motor: int, what: int) -> list[Row]:
-        """Handle the driver's command to enable a motor, to disable it, or to clear its fault. When a motor becomes
-        enabled or disabled, its speed becomes zero. A command that makes the motor's present position its new zero
-        position is refused."""
+        """Handle the driver's command to enable a motor, to disable it, or to clear its fault. A motor that becomes
+        enabled or disabled gets speed zero. A command to make the motor's present position its new zero position is
+        refused."""
         if what == _ZERO:
             return [
                 DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),
@@ -194,8 +193,8 @@ class DamiaoDriver:
         return [DriverRefusal(what_for, "it was not passed on")]
 
     def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
-        """Handle the driver's command to write a register. The speed mode and the watchdog's time are answered as if
-        the motor had accepted them, because failstop has already set both itself. All other values are refused."""
+        """Handle the driver's command to write a register. failstop has already set the speed mode and the watchdog's
+        time, so both are answered as if the motor had accepted them. All other values are refused."""
         if index == codec.TIMEOUT:
             refused = DriverRefusal(
                 "the time of the motors' watchdog", "failstop sets it itself: this was only answered"

@@ -4,12 +4,11 @@ A frame is a line `tIIILDD...\\r`. After the t come hexadecimal digits: three fo
 two for each byte. Sources: python-can 4.6.1 (interfaces/slcan.py), and the firmware of the two CANables,
 normaldotcom/canable-fw 8ca5d39 and canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c).
 
-A line has no checksum, and the two CANables execute whatever comes before a carriage return. If a line was cut, they
-take the missing digits from the line before it. An empty line makes them repeat the last command. So FLUSH comes before
-each stop. FLUSH is longer than any line that these adapters keep, so they drop a cut line that comes before it. An
-adapter that keeps longer lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no
-faster and does not change its direction: in a little-endian float the sign and the exponent come last, so these digits
-are the first to become 0.
+A line has no checksum, and the two CANables execute whatever comes before a carriage return. They complete a cut line
+with digits of the line before it. An empty line makes them repeat the last command. So FLUSH comes before each stop.
+FLUSH is longer than any line that these adapters keep, so they drop a cut line before it. An adapter that keeps longer
+lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and keeps its
+direction. In a little-endian float the sign and the exponent come last, so they are the first to become 0.
 """
 
 from __future__ import annotations

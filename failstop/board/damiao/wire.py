@@ -1,9 +1,8 @@
 """The Wire that describes Damiao's motors behind a slcan adapter. Each write has a line for every motor.
 
 A stop is one write, so a process that dies can't have stopped only some of the motors. If the kernel takes only a part
-of the write, the next burst, from the same process or from another one, stops the other motors. A stop is always for
-four motors, because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does
-not exist does nothing.
+of the write, the next burst of any process stops the other motors. A stop is always for four motors, because `failstop
+stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist does nothing.
 
 A stop can't reach a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by its
 own watchdog. While one motor does not answer, stops do not count as acknowledged, and motion can't be enabled.
@@ -51,8 +50,8 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
-    """Make the description of a base with `speeds` motors, which have the CAN ids 1, 2 and so on. If `speeds` is 0, the
-    number of motors is not known yet, and questions go to two motors only."""
+    """Describe a base with `speeds` motors, which have the CAN ids 1, 2 and so on. With 0, the number of motors is not
+    known yet, and questions go to two motors only."""
     motors = codec.Motors(speeds or USUAL)
     return Wire(
         name=f"{speeds} Damiao motors behind a slcan adapter" if speeds else "Damiao motors behind a slcan adapter",

@@ -1,8 +1,8 @@
 """The arm on the wheels' bus: servos in position mode, which count 4096 steps per turn.
 
-A stop writes nothing to the arm's servos. An arm moves by a stream of goals, each at most one period (arm.period_s)
-ahead. If a servo gets no new goal, it stays at the goal that it got last, with its torque on. No frame of this module
-addresses a wheel. Only frames that set positions, switch torques or read pass FeetechArm.check().
+A stop writes nothing to the arm's servos: a servo without a new goal stays at its last goal, with its torque on. An arm
+moves by a stream of goals, each at most one period (arm.period_s) ahead. No frame of this module addresses a wheel.
+Only frames that set positions, switch torques or read pass FeetechArm.check().
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class FeetechArm(ServoBus):
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Return the packet that asks a few servos for their positions at once (a sync read). At most three servos can
-        be asked at once, as many as in a question to the wheels."""
+        """Return the packet that asks one to three servos for their positions at once (a sync read). Three is as many
+        as in a question to the wheels."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
@@ -92,8 +92,8 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Say why a frame must not be written. Returns "" if it may be written: this class makes exactly the same bytes
-        from the frame's fields, and all servos in the frame are among `servos`."""
+        """Say why a frame must not be written. Returns "" if it may: this class makes the same bytes from the frame's
+        fields, and all its servos are among `servos`."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
@@ -128,7 +128,7 @@ class FeetechArm(ServoBus):
             return []
 
     def held_ns(self, frame: bytes) -> int:
-        """If the frame is a question, return how long the servos take to answer, in ns. Otherwise return how long the
-        frame itself takes on the line, in ns."""
+        """Return how long the servos take to answer a question, in ns. For any other frame, return its own time on the
+        line."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
         return asked * ANSWER_NS or len(frame) * self._byte_ns

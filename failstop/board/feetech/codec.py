@@ -1,9 +1,9 @@
 """The packets of Feetech's STS servos: `FF FF | id | length | instruction | data | check`, little-endian.
 
 `length` counts the instruction, the data and the check. The check is the inverted sum of all bytes between FF FF and
-the check. A servo's answer has the same form, with its error bits in the place of the instruction. These are the bits
-ERRBIT_* of feetech-servo-sdk 1.0.0, which are the same as the SERVO_ bits of failstop/board/wire.py. Speeds have their
-sign in bit 15 (Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
+the check. A servo's answer has the same form, with its error bits in the place of the instruction. These bits are
+ERRBIT_* of feetech-servo-sdk 1.0.0, the same as the SERVO_ bits of failstop/board/wire.py. Speeds have their sign in
+bit 15 (Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""failstop has two questions to the wheels. One reads 18 bytes of each wheel's memory, and the other one 19, both
-beginning at the goal speed. An answer does not name its question, but the answer's length shows which question it
-was."""
+"""How many bytes of each wheel's memory failstop's two questions to the wheels read, beginning at the goal speed. An
+answer does not name its question, but its length shows which question it was."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
 which question it belongs to. The question for the position also reads the load and the temperature, which come after
@@ -65,9 +64,9 @@ def packet(servo: int, instruction: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
-    """Return the packet that writes to this address of several servos. `rows` has each servo's id, followed by the
-    bytes for this servo. No servo answers such a packet. Never write a speed to every servo on the bus, because for a
-    servo in position mode speed 0 means its fastest speed."""
+    """Return the packet that writes to this address of several servos. `rows`: each servo's id, followed by its bytes.
+    No servo answers such a packet. Never write a speed to every servo on the bus, because for a servo in position mode
+    speed 0 means its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 
@@ -144,7 +143,7 @@ def check_motion(frame: bytes, limit: float) -> str:
 
 def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
     """Return the report in an arm servo's answer to one of the questions in READS. Returns an empty list for other
-    answers. For example, a servo's answer to a write has no data, so it reports nothing."""
+    answers, for example to a write, which has no data."""
     found = [what for what, (_, size) in READS.items() if size == len(data)]
     if not found or servo in WHEELS:
         return []
@@ -209,9 +208,9 @@ class Replies(Reader):
         return found
 
     def _count_misses(self, at: int, size: int) -> bool:
-        """Count the missed answers of all wheels, after an answer with `size` bytes from the wheel at place `at` of
-        WHEELS. Wheels answer in this order, so each wheel whose turn was between the previous answer and this one has
-        missed its question. Returns True if such a wheel now counts as missing."""
+        """Count the missed answers after the wheel at place `at` of WHEELS has answered with `size` bytes. Wheels
+        answer in this order, so each wheel between the previous answer and this one has missed its question. Returns
+        True if such a wheel now counts as missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:

@@ -2,15 +2,14 @@
 LeRobot's LeKiwi host.
 
 Packets are read byte by byte, as a servo reads them. A servo waits forever for the rest of a packet, and never goes
-back to a byte that it has already read. Only the wheels' goal speeds move anything. What the driver reads comes from a
-table for each servo. At first the table has the ranges and offsets of the settings, and the values to which LeKiwi's
-servos are set. If the driver writes a wheel's goal speed, a torque or the lock, the table keeps this value. Addresses
-56 to 64 have what the servo reported last.
+back to a byte that it has already read. Only the wheels' goal speeds move anything. The driver reads from a table for
+each servo. At first the table has the ranges and offsets of the settings, and the values to which LeKiwi's servos are
+set. It keeps a wheel's goal speed, a torque or the lock that the driver writes. Addresses 56 to 64 have what the servo
+reported last.
 
 To the driver, only the wheels and the joints of the settings are on the bus. All other servos seem to be unplugged.
 Every write to one servo is answered, even a refused one, because LeRobot's host exits if an answer is missing. A
-question is answered too, unless it asks for a value that the servo has not reported yet, or for addresses beyond the
-table.
+question gets no answer if it asks for a value that the servo has not reported yet, or for addresses beyond the table.
 
 Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
 """
@@ -27,14 +26,12 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 34_000_000
-"""How long a host waits for an answer, in ns. This is the timeout of feetech-servo-sdk, and LeRobot waits longer, for
-50 ms. If an answer came too late, the host would take it for the answer to its next question. From then on, the host
-would match every answer with the wrong question."""
+"""How long a host waits for an answer, in ns. This is the timeout of feetech-servo-sdk; LeRobot waits for 50 ms. From a
+late answer on, the host would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""A new FeetechDriver first gets the bytes that the servos sent shortly before the driver opened the port. This is the
-length of that time, in ns. It must be long enough for every joint to report its position, because a host asks for the
-positions as soon as it has opened the port. The service asks a joint at rest for its position only about every two
-seconds."""
+"""How far back a new FeetechDriver gets the bytes that the servos sent before the driver opened the port, in ns. This
+is enough for every joint to report its position, because the service asks a joint at rest only about every two seconds.
+A host asks for the positions as soon as it has opened the port."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
@@ -140,8 +137,8 @@ class FeetechDriver:
         return [*rows, DriverAnswer(answers)] if answers else rows
 
     def _knows(self, servo: int, wanted: range) -> bool:
-        """True if failstop knows the values at all these addresses of the servo, so it can answer the driver. A value
-        that the servo measures is known only after the servo has reported it."""
+        """True if failstop knows the values at all these addresses, so it can answer the driver. A measured value is
+        known once the servo has reported it."""
         return all(at in self._heard_of[servo] for at in wanted if _SENSORS <= at < _KNOWN_TO)
 
     def _packet_of(self, servo: int, data: bytes) -> bytes:
@@ -163,9 +160,8 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """Handle one packet that writes bytes to these servos. If the wheels must stop, the last row is a stop.
-        Otherwise, if the packet sets the speed of a wheel, the last row is a motion in which the other wheels keep
-        their speeds."""
+        """Handle one packet that writes bytes to these servos. The last row is a stop if the wheels must stop.
+        Otherwise, if the packet sets a wheel's speed, it is a motion that leaves the other wheels' speeds unchanged."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -183,8 +179,8 @@ class FeetechDriver:
         return rows
 
     def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
-        """Handle what a packet writes to a wheel. Returns (moved, rows). `moved` is True if the packet sets the wheel's
-        speed. `rows` has the refusals, and also a stop if the wheels must stop."""
+        """Handle what a packet writes to a wheel. Returns (moved, rows). `moved`: True if the packet sets the wheel's
+        speed. `rows`: the refusals, and a stop if the wheels must stop."""
         rows: list[Row] = []
         speed = bytearray()
         for at, value in enumerate(data, address):
@@ -223,8 +219,8 @@ class FeetechDriver:
         return rows
 
     def _setting(self, servo: int, at: int, value: int) -> list[Row]:
-        """Handle one byte that the driver writes to a servo's settings. Any value for the lock is accepted, but only
-        stored in the driver's table. A new value for any other setting is refused."""
+        """Handle one byte that the driver writes to a servo's settings. The lock is only stored in the driver's table.
+        A new value for any other setting is refused."""
         if at == _LOCK:
             self._memory[servo][at] = value
             return []
@@ -236,8 +232,8 @@ class FeetechDriver:
     # What the servos report.
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Store what the servos measure. Always returns an empty list, because the servos send only answers, and
-        failstop answers the driver itself."""
+        """Store what the servos measure. Always returns an empty list: the servos send only answers, and failstop
+        answers the driver itself."""
         data, at = self._heard + chunk, 0
         while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
             servo, length = data[at + 2 : at + 4]
@@ -256,8 +252,7 @@ class FeetechDriver:
         return []
 
     def _measured(self, servo: int, error: int, data: bytes) -> None:
-        """Store the measured values that an answer contains. An answer does not name its question, but the
-        answer's length shows which question it was."""
+        """Store the measured values in an answer. The answer's length shows which question it answers."""
         if servo not in self._memory:
             return
         self._error[servo] = error

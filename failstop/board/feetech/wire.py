@@ -1,11 +1,11 @@
 """The Wire that describes the Feetech bus. A stop is repeated within one write, because a servo that is answering hears
 nothing.
 
-Both directions share one line. If a stop begins during an answer, the stop and the answer are both garbled. So the
-burst lasts longer than the three answers to a question, and each writer repeats the burst. Frames other than stops must
-not collide with an answer, so failstop writes them only after the line has been silent for the time of three answers. A
-servo does not acknowledge a sync write. So the questions ask each wheel for the goal speed that it obeys and for its
-present speed.
+Both directions share one line, so a stop that begins during an answer is garbled, and so is the answer. So the burst
+lasts longer than the three answers to a question, and each writer repeats the burst. Frames other than stops must not
+collide with an answer. failstop writes them only after the line has been silent for the time of three answers. A servo
+does not acknowledge a sync write. So the questions ask each wheel for the goal speed that it obeys and for its present
+speed.
 """
 
 from __future__ import annotations

@@ -36,11 +36,10 @@ def seal(steer: int, speed: int) -> bytes:
 
 def motion(both: Sequence[float], limit: float) -> bytes:
     """Return the frame that sets the speeds of left and right. Raises FrameError if a speed is not within plus or minus
-    `limit`.
+    `limit`, or if the speeds are more than APART apart.
 
-    Speeds become whole numbers, truncated towards zero. If the sum of the two whole numbers is odd, the speed that is
-    further from zero goes one step closer to zero. If the sum stayed odd, the mean would not be a whole number and
-    would be rounded down. A wheel at rest would then creep backward.
+    Speeds are truncated towards zero to whole numbers. If their sum is odd, the speed that is further from zero goes
+    one step closer to zero. With an odd sum, the mean would be rounded down, and a wheel at rest would creep backward.
     """
     left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
@@ -83,15 +82,14 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""While failstop repeats the same motion, it slows the frames by these numbers of units in turn: one frame by 0, the
-next by 1, then by 0, then by 2, and so on. If a slowed frame is lost, the next slowed frame has the other number, so a
-report of it can't be taken for a report of the lost frame."""
+"""While failstop repeats the same motion, it slows the frames by these numbers of units in turn. After a lost slowed
+frame, the next slowed frame has the other number, so a report of it can't be taken for a report of the lost frame."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:
-    """Return the motion frame with both wheels slowed by the mark of this turn (MARKS). Without marks, the board's
-    reports of a steady speed would not show whether frames still arrive. A mark never stops a turning wheel. If only
-    one wheel turns, it is slowed by twice the mark, because the sum of the two speeds must stay even."""
+    """Return the motion frame with its turning wheels slowed by the mark of this turn (MARKS). Without marks, the
+    board's reports of a steady speed would not show whether frames still arrive. A mark never stops a turning wheel. If
+    only one wheel turns, it is slowed by twice the mark, because the sum of the two speeds must stay even."""
     if (found := _words(frame)) is None:
         return frame
     both = [int(each) for each in _exact(*found)]

@@ -4,10 +4,9 @@ A driver writes frames of eight bytes, ten to a hundred times a second, and expe
 The board finds a frame by the silence before and after it. A pseudo-terminal does not pass on silences, so failstop
 finds a frame by its start instead. The wheel speeds are computed as the board mixes them, whatever the driver meant.
 
-If a frame is cut short, its bytes and the first bytes of the next frame may look like one frame with a valid check, and
-with any speed. For example, the cut frame cdab0000 and the first half of a stop look like full speed backward. So
-failstop does not accept eight bytes as a frame if another start is among them. No driver writes a speed that looks like
-a start.
+A cut frame and the first bytes of the next frame may look like one frame with a valid check, and with any speed. For
+example, the cut frame cdab0000 and the first half of a stop look like full speed backward. So eight bytes with another
+start among them are not accepted as a frame. No driver writes a speed that looks like a start.
 
 Firmware source: commit a0751d5. Its feedback has 18 bytes. The fork for hoverboard-robotics' ROS driver sends 22
 (24955d6), and a branch that also sends two currents sends 26 (c7152c1). The driver was built for the board that it has,
@@ -33,8 +32,8 @@ else, because this board has no questions."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
-"""The place in a frame where the check begins. failstop refuses a frame if another start begins before this place. The
-check itself may look like a start: the two are equal whenever steer and speed are equal."""
+"""The place in a frame where the check begins. failstop refuses a frame with another start before this place. The check
+itself may look like a start, because it equals one whenever steer and speed are equal."""
 _TOGETHER_NS = 20_000_000
 """How long failstop waits for the rest of a frame before it drops the frame, in ns. An adapter may hold bytes back for
 16 ms, so this is longer. The board itself drops an incomplete frame as soon as the line is idle."""
@@ -103,9 +102,9 @@ class HoverboardDriver:
         return frames
 
     def _whole(self, data: bytes, at: int) -> int:
-        """Return the length of the feedback frame that begins at `at`, or 0 if no frame begins there. A frame of the
-        same length as the frame before it counts at once. Any other frame counts only if the start of another frame
-        follows it, because parts of two frames can look like one frame with a valid check."""
+        """Return the length of the feedback frame that begins at `at`, or 0 if no frame begins there. A frame as long
+        as the one before it counts at once. Any other frame counts only if another start follows it, because parts of
+        two frames can look like one frame with a valid check."""
         if self._length and _checked(data[at : at + self._length], self._length):
             return self._length
         for length in _LENGTHS:
@@ -115,8 +114,8 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Return the place, not before `at`, where the next frame starts. If no start is found, but the last byte may be
-    the first byte of one, return the place of the last byte. Otherwise return the length of the data."""
+    """Return where the next frame starts, not before `at`. If no start is found, return the length of the data, or the
+    place of the last byte if this may be the first byte of a start."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 

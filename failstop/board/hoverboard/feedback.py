@@ -49,10 +49,10 @@ class Feedback(Reader):
     def __init__(self) -> None:
         self._kept = b""
         self._forms = (FEEDBACK, WITH_COUNTERS)
-        """The two forms of a frame. The first is the form of the newest frame. A frame of the second form counts only
-        if the start of another frame follows. Otherwise bytes that only look like a frame of the fork could be
-        accepted. For example, a stray start, a frame of nine words and the start of the next frame are together eleven
-        words with a valid xor."""
+        """The two forms of a frame, the form of the newest frame first. A frame of the second form counts only if the
+        start of another frame follows. Otherwise bytes that only look like a frame of the fork could be accepted. For
+        example, a stray start, a frame of nine words and the start of the next frame are together eleven words with a
+        valid xor."""
         self._fork_reported = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -81,11 +81,10 @@ class Feedback(Reader):
 
 
 def _rpm(word: int) -> float:
-    """Return the speed in rpm that a word of the feedback stands for. The firmware rounds speeds, so a word stands for
-    many speeds, and this function returns their average. The firmware truncates a speed towards zero to sixteenths of
-    an rpm, and then rounds it down to whole rpm (BLDC_controller.c, commit a0751d5). Below 5 rpm it sends 0. Without
-    the average, the right wheel would seem 1 rpm faster than the left one when the robot drives straight, because the
-    right motor is mounted the other way round."""
+    """Return the average of the speeds, in rpm, for which the firmware sends this word of the feedback. The firmware
+    truncates a speed towards zero to sixteenths of an rpm, and then rounds it down to whole rpm (BLDC_controller.c,
+    commit a0751d5). Below 5 rpm it sends 0. Without the average, the right wheel would seem 1 rpm faster than the left
+    one when the robot drives straight, because the right motor is mounted the other way round."""
     if not word:
         return 0.0
     return word + (8 / 16 if word > 0 else 7 / 16)

@@ -3,16 +3,17 @@ stop at different times.
 
 The board looks at the bytes that it has received whenever the line falls idle. It accepts exactly eight bytes, and
 drops any other number. So two frames without a gap between them are both dropped. The board also looks whenever it has
-sent a feedback frame, which is every 10.1 ms. If only a part of a frame has come by then, the frame is lost. A single
-stop is lost in this way in 6.1 % of cases.
+sent a feedback frame, which is every 10.1 ms. If only a part of a frame has come by then, the frame is lost. In this
+way, 6.1 % of single stops are lost.
 
-So each writer repeats its stop, and each writer does so at different times. The times are chosen so that the stops of
-two writers rarely touch, whatever the delay between their first stops. If the first stops touch, at most one pair of
-the early repeats touches too. The feedback makes the board lose at most one more stop. With one or two writers the
-board accepts a stop within 12 ms, and with three writers within 40 ms (tests/board/test_stop_of_every_board.py).
+So each writer repeats its stop, at times of its own. The stops of two writers then rarely touch, whatever the delay
+between their first stops. If the first stops touch, at most one pair of the early repeats touches too. The feedback
+makes the board lose at most one more stop. With one or two writers the board accepts a stop within 12 ms, and with
+three writers within 40 ms (tests/board/test_stop_of_every_board.py).
+
 Usually only the port owner writes. Its second stop comes 5.4 ms after the first one, so the two stops don't touch even
-if the computer sends the first one a few ms late. If the computer sends many stops late, they may reach the board in
-pairs and be lost. So a few repeats come as late as 53 to 116 ms after the first stop.
+if the computer sends the first one a few ms late. Many late stops may reach the board in pairs and be lost. So a few
+repeats come as late as 53 to 116 ms after the first stop.
 
 After a stall, an adapter sends everything that it has kept at once, and the board drops all of it. Every board is
 tested with stalls of up to 0.3 s, so the repeats go on for about 0.4 s. The late repeats of two writers never touch. If

@@ -21,11 +21,10 @@ class RrcArm(ServoBus):
     beside_wheels = holds_by_goal = False
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Return the frames that stop these servos. Always append them to the stop burst, and write both in one write.
-        Then the kernel takes these frames only after it has taken the whole burst. If they had a write of their own,
-        the burst before them could be cut short. The board could then read their bytes as the rest of a motor frame,
-        and take some of them for a wheel's id and speed. If one of these frames is cut short, the next burst makes this
-        harmless, as for any other frame."""
+        """Return the frames that stop these servos. Always append them to the stop burst, and write both in one write,
+        so that they never follow a cut burst. After a cut burst, the board could read their bytes as the rest of a
+        motor frame, and take some of them for a wheel's id and speed. If one of these frames is cut short, the next
+        burst makes it harmless."""
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
@@ -41,7 +40,7 @@ class RrcArm(ServoBus):
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """Return the frame that switches a servo's torque on or off. When the torque is on, the servo holds its present
+        """Return the frame that switches a servo's torque on or off. Once the torque is on, the servo holds its present
         position, whatever its last goal was."""
         return bus.bus_servo_torque(servo, on)
 
@@ -50,14 +49,14 @@ class RrcArm(ServoBus):
         return frame[_SUB_COMMAND_AT]
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Say why a frame must not be written for these servos. Returns "" for the frames that the encoders make."""
+        """Return the reason to refuse this frame for these servos, or "" to accept it. Only frames that the encoders
+        make are accepted."""
         return bus.check_bus(frame, servos, longest_ms)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Return (id, position, duration in ns) for each servo that a frame moves. All servos in a frame have the same
-        duration."""
+        """Return (id, position, duration in ns) for each servo that a frame moves. All durations are equal."""
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:
-        """Return how long the servos' own bus needs for the frame at most, in ns."""
+        """Return the longest time that the servos' own bus needs for this frame, in ns."""
         return bus.held_ns(frame)

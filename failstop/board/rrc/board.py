@@ -162,7 +162,7 @@ class Rrc(Board):
         return codec.motor_speeds(rps, max_rps)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Say why these bytes must not be written as a frame for four wheels. Returns "" if they may be written."""
+        """Return the reason to refuse these bytes as a frame for four wheels, or "" to accept them."""
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -195,5 +195,5 @@ BOARD = Rrc()
 
 
 def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
-    """Make the board. Its speeds are already in turns per second, so it needs no diameter and no scale."""
+    """Make the board. It needs no diameter and no scale, because its speeds are in turns per second."""
     return SteeredRrc(steering) if steering else BOARD

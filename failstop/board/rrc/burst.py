@@ -2,21 +2,19 @@
 
     32 x 00, STOP, 257 x 00, STOP, STOP, STOP            (397 bytes, 4.0 ms at 1 Mbaud)
 
-A stop frame alone can get lost. The receiver may be waiting for the rest of a frame that was cut short. It then reads
-up to 256 of the following bytes as this rest (firmware source). So the burst has these parts:
+A stop frame alone can get lost. If an earlier frame was cut short, the receiver takes up to 256 of the following bytes
+as the rest of that frame (firmware source). So the burst has these parts:
 
 - Zeros are a safe filler. Between frames the receiver ignores zeros. If it waits for a function, they make an empty SYS
-  frame, which does nothing. If it waits for a length, they make the length 0. Stop frames would not be a safe filler,
-  because `AA` could become a length of 170. As the rest of a cut motor frame, they could also give that frame an
-  invalid wheel id.
-- 32 zeros are more than the rest of any motor frame of this package that was cut short, because at most 22 bytes of
-  data and the CRC are missing. The receiver then drops the frame because of its wrong CRC. The CRC would be right only
-  if it was zero at the cut, and codec.motor_speeds makes no motion frame for which this is possible.
-- The first STOP ends at byte 59 (0.6 ms). The receiver parses it in every state except one: inside a frame that lacks
-  more than 31 bytes of its data.
-- 257 zeros are more than the longest possible rest of a frame (255 bytes of data and the CRC). So a frame that began
-  anywhere before them is over before the next STOP. This is true even of a frame that began with a garbled byte in the
-  first STOP.
+  frame, which does nothing. If it waits for a length, they make the length 0. Stop frames are not a safe filler: `AA`
+  could become a length of 170, and in a cut motor frame they could make an invalid wheel id.
+- 32 zeros complete any cut motor frame of this package, because at most 22 bytes of data and the CRC are missing. The
+  receiver then drops the frame because of its wrong CRC. The CRC would be right only if it was zero at the cut, and
+  codec.motor_speeds makes no motion frame for which this is possible.
+- The first STOP ends at byte 59 (0.6 ms). The receiver parses it unless it is inside a frame that lacks more than 31
+  bytes of its data.
+- 257 zeros are more than the longest possible rest of a frame (255 bytes of data and the CRC). So every frame that
+  began before them is over before the next STOP, even if it began with a garbled byte in the first STOP.
 - Three more STOPs stop the wheels after any stray frame that the filler completed. They also leave the receiver between
   frames.
 """

@@ -1,9 +1,9 @@
-"""The frames for the wheels, the ping and the buzzer, and functions that check these frames before they are written.
-The frames for an arm are in servos.py.
+"""The frames for the wheels, the ping and the buzzer, and functions that check them before they are written. The frames
+for an arm are in servos.py.
 
 The board answers no motor frame, and its motor handler checks nothing (firmware source). The handler writes out of
-bounds if an id is out of range, does not compare the count with the length, and accepts NaN as a speed. So every value
-is checked here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
+bounds for a wrong id, does not compare the count with the length, and accepts NaN as a speed. So every value is checked
+here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ def wheel_speed(wheel: int, rps: float, limit: float) -> float:
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
     """Return the 27-byte frame that sets all four wheels. `rps` has turns per second for wire ids 0 to 3 (motors 1 to
-    4), each within plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP.
-    Raises FrameError.
+    4), each within plus or minus max_rps. Minus zero is sent as zero, so four zeros are always exactly STOP. Raises
+    FrameError.
 
-    If the frame were cut short, the zeros of the stop burst might complete it. To prevent this, a speed may be sent
-    smaller by one or a few units in the last place of its float32 (see _complete_free).
+    A speed may be sent smaller by a few units in the last place of its float32. Otherwise the zeros of the stop burst
+    might complete a frame that was cut short (see _complete_free).
     """
     try:
         a, b, c, d = rps
@@ -72,13 +72,13 @@ _FLOATS = (5, 10, 15, 20)
 
 
 def _complete_free(body: bytes) -> bytes:
-    """Return a four-wheel frame: the head, then `body` (func, len and data), then the CRC. Wherever this frame is cut
-    short, the part before the cut moves no wheel. To achieve this, a speed may be made slightly smaller.
+    """Return a four-wheel frame: the head, `body` (func, len and data), and the CRC. Wherever this frame is cut short,
+    the part before the cut moves no wheel.
 
-    The CRC of the bytes so far is zero at one place in 256. If a frame were cut short at such a place, the zeros of the
-    stop burst would complete it, because zeros leave a CRC of zero unchanged. The board would then execute it with the
-    speeds sent so far. So this function looks for such a place, and makes the last speed before it smaller by one unit
-    in the last place. This changes the CRCs, so the function then starts again.
+    Zeros leave a CRC of zero unchanged. So if a frame were cut where its CRC so far is zero, the zeros of the stop
+    burst would complete it. The board would then execute it with the speeds sent so far. On average this is possible at
+    one place in 256. At such a place, this function makes the last speed before it smaller by one unit in the last
+    place, and starts again with the new CRCs.
     """
     crc = 0
     for at, byte in enumerate(body):
@@ -90,7 +90,7 @@ def _complete_free(body: bytes) -> bytes:
 
 def _one_unit_smaller(body: bytes, at: int) -> bytes:
     """Return the frame's func, len and data with one speed made smaller: the last speed before `at` that is not zero.
-    Empty if all speeds before `at` are zero, because then the cut frame can move no wheel."""
+    Empty if all speeds before `at` are zero. A frame that is cut there moves no wheel."""
     for start in reversed(_FLOATS):
         if start <= at:
             bits = int.from_bytes(body[start : start + 4], "little")
@@ -100,11 +100,11 @@ def _one_unit_smaller(body: bytes, at: int) -> bytes:
 
 
 def check_motion(frame: bytes, max_rps: float) -> str:
-    """Say in a few words why these bytes must not be written as a motion frame. Returns "" if they may be written.
+    """Return the reason to refuse these bytes as a motion frame, in a few words, or "" to accept them. Never raises.
 
     It accepts only the 27-byte frame for all four wheels, with ids 0 to 3 in order and the right CRC. Every speed must
-    be finite and within plus or minus max_rps (0 to RPS_CEILING turns per second, with an allowance for rounding to
-    float32). Never raises, whatever the bytes are.
+    be finite and within plus or minus max_rps (0 to RPS_CEILING turns per second), with an allowance for rounding to
+    float32.
     """
     if len(frame) != _WHEELS4.size:
         return "not a motor frame"
@@ -139,8 +139,8 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     """Return the frame that sounds the buzzer `repeat` times. Raises FrameError. An off_ms of 0 is refused, because it
     once made a buzzer sound without end.
 
-    If the frame were cut short, the zeros of the stop burst might complete it with an off time of 0. To prevent this,
-    the tone may be made a few hertz lower, or a few hertz higher if it would otherwise be too low.
+    The tone may be a few hertz lower, or higher near the lowest tone. Otherwise the zeros of the stop burst might
+    complete a cut frame with an off time of 0.
     """
     checks.integer("freq_hz", freq_hz, *_TONES)
     checks.integer("on_ms", on_ms, 1, 65_535)
@@ -154,13 +154,13 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
 
 
 def check_aux(frame: bytes) -> str:
-    """Say in a few words why these bytes must not be written as a frame that is not motion. Returns "" if they may be
-    written.
+    """Return the reason to refuse these bytes as a frame that is not motion, in a few words, or "" to accept them.
+    Never raises.
 
-    A frame may be written only if it is a buzzer frame with the right length and CRC, does not contain the start of a
-    motor frame, and would not be completed by the zeros of the stop burst if it were cut short. Such a frame moves
-    nothing, even if it is cut short. Frames for anything but the buzzer are refused, because the firmware's handlers
-    for them read lists past their end, and could change a wheel's set point. Never raises, whatever the bytes are."""
+    It accepts only a buzzer frame with the right length and CRC. The frame must not contain the start of a motor frame,
+    and the zeros of the stop burst must not complete it after a cut. So even a cut frame moves nothing. All other
+    frames are refused, because the firmware's handlers for them read lists past their end, and could change a wheel's
+    set point."""
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"
     if crc8(frame[2:]):

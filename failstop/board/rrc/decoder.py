@@ -51,9 +51,8 @@ _VALUES = {
 class Decoder:
     """Turns bytes, in pieces of any size, into frames. Between calls it keeps at most the bytes of one frame.
 
-    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes. So if garbage comes
-    before a good frame, the good frame is still found. The board's own receiver would lose it, because it never
-    searches rejected bytes.
+    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes. So it finds a good
+    frame that follows garbage. The board's own receiver would lose this frame.
     """
 
     __slots__ = ("_pending",)

@@ -1,16 +1,15 @@
-"""The frames that a driver may write to Hiwonder's RRC, and what the driver gets from the board. The driver is the
-vendor's Python SDK or the vendor's ROS node.
+"""The frames that a driver (the vendor's Python SDK or ROS node) may write to Hiwonder's RRC, and the bytes that the
+driver gets from the board.
 
 Frames are read byte by byte, as the board's receiver reads them. The receiver waits forever for the rest of a frame,
-and never goes back to a byte that it has already read. If a motor frame names only some motors, all other motors keep
-their speeds. The board's motor handler checks nothing. So a motor frame is refused whole, and the wheels stop, if its
-count does not fit its length, if it names a motor that does not exist, or if a speed is not a finite number.
+and never goes back to an earlier byte. Motors that a motor frame does not name keep their speeds. The board's motor
+handler checks nothing. So failstop refuses a whole motor frame and stops the wheels if the count does not fit the
+length, a motor does not exist, or a speed is not a finite number.
 
 A question without an answer would block the SDK forever. So every question for a servo is answered. If failstop itself
-has asked the board the same question about the same servo, the driver gets the board's newest answer. Otherwise
-failstop makes an answer of the usual length: for a bus servo it reports a failure, and for a PWM servo the value 0,
-because a PWM servo's answer has no room for a failure. Reports that the board sends unasked are passed on in whole
-frames.
+has asked the same servo the same question, the driver gets the board's newest answer. Otherwise failstop makes an
+answer of the usual length. For a bus servo it reports a failure. For a PWM servo it reports the value 0, because such
+an answer has no room for a failure. Reports that the board sends unasked are passed on in whole frames.
 
 Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
 """
@@ -179,8 +178,8 @@ class RrcDriver:
         ]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Return those of the board's reports that are for the driver, in whole frames. The answers to failstop's own
-        questions are kept instead, for wrote()."""
+        """Return the board's reports for the driver, in whole frames. Keeps the answers to failstop's own questions for
+        wrote() instead."""
         found: list[bytes] = []
         for func, data in self._decoder.feed(chunk):
             if func in _PASSED:

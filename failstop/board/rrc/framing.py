@@ -48,17 +48,16 @@ def crc8(data: Iterable[int], crc: int = 0) -> int:
 
 
 def seal(func: int, data: bytes) -> bytes:
-    """Put head, function, length and CRC around data. Nothing is checked, so only this folder's own encoders may use
-    it."""
+    """Put head, function, length and CRC around data. Checks nothing, so only this folder's own encoders may use it."""
     body = bytes((func, len(data))) + data
     return HEAD + body + bytes((crc8(body),))
 
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
-    """Find the first place in this frame where a cut would be dangerous, because zeros after the cut would complete the
-    frame. They do so if the CRC of the bytes before the cut is zero: it stays zero with every zero that follows, so the
-    last zero passes as the right CRC. Returns how many bytes of data come before the place, or 0 if no cut is
-    dangerous. Places with fewer than `least` bytes of data (1 or more) before them don't count."""
+    """Return how many bytes of data come before the first dangerous cut in this frame, or 0 if no cut is dangerous. A
+    cut is dangerous if the CRC of the bytes before it is zero. Zeros after the cut leave this CRC at zero, so the last
+    zero passes as the right CRC and completes the frame. Cuts after fewer than `least` bytes of data (1 or more) don't
+    count."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:
@@ -68,11 +67,10 @@ def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
 
 
 def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
-    """Make the frame for any function except MOTOR from bytes-like data, up to 255 bytes.
+    """Make the frame for any function except MOTOR from bytes-like data, up to 255 bytes. Raises FrameError.
 
-    Motor frames come only from the checked motor encoders. In a frame for the board, the bytes `AA 55 03` are refused
-    too, because a receiver that has lost its place in the bytes would take them for the start of a motor frame. Raises
-    FrameError.
+    Motor frames come only from the checked motor encoders. A frame for the board must not contain `AA 55 03` either: a
+    receiver that has lost its place would take these bytes for the start of a motor frame.
     """
     integer("func", func, SYS, RGB)
     if func == MOTOR:

@@ -1,14 +1,14 @@
 """Frames to the bus servos of an arm, and a function that checks these frames before they are written.
 
 The firmware handles a servo's frame inside its receive task. So every later frame, even a stop, waits until the servos'
-own bus (115200 baud) has taken the servo's frame. Questions may hold up the receiver for longer than HELD_NS, because
-failstop asks the servos nothing while a wheel may turn. All other frames may hold it up for HELD_NS at most.
+own bus (115200 baud) has taken the servo's frame. Most frames hold up the receiver for HELD_NS at most. Questions may
+take longer, because failstop asks the servos nothing while a wheel may turn.
 
 A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
 and a long way is a stream of short moves.
 
-Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). failstop has no function that
-makes these commands, and check_bus() refuses them.
+Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). failstop never makes these
+commands, and check_bus() refuses them.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ def _id(servo: int, highest: int = HIGHEST_ID) -> int:
 
 
 def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = LONGEST_MOVE_MS) -> bytes:
-    """Return the frame that moves one or two bus servos. Each position is (id 1 to 253, position 0 to 1000). The move
+    """Return the frame that moves one or two bus servos, each given as (id 1 to 253, position 0 to 1000). The move
     takes duration_ms, from 1 to longest_ms. Raises FrameError.
 
-    If the frame were cut short, the zeros of the stop burst might complete it. The last servo in the frame, or a servo
-    with the id 0, would then move to a wrong position. To prevent this, the duration may be made a few milliseconds
-    longer, or shorter if it would otherwise be more than longest_ms.
+    The duration may be a few milliseconds longer, or shorter if it would exceed longest_ms. Otherwise the zeros of the
+    stop burst might complete a cut frame. The last servo in the frame, or a servo with the id 0, would then move to a
+    wrong position.
     """
     checks.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((checks.counted("moves", positions, 1, MOST_MOVES),))
@@ -92,11 +92,10 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
     """Return the frame that stops up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are. Their torque
-    stays on.
+    stays on. Raises FrameError.
 
-    If the frame is cut short, the zeros of the stop burst may complete it. The completed frame then stops only some of
-    these servos, and also a servo with the id 0. This can't be prevented, because a stop has no value that could be
-    varied.
+    If the frame is cut short, the zeros of the stop burst may complete it. It then stops only some of these servos, and
+    also a servo with the id 0. This can't be prevented, because a stop has no value that could be varied.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
@@ -118,19 +117,16 @@ def bus_servo_read(servo: int, what: int) -> bytes:
 
 
 def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Return the frame that switches a bus servo's torque on (sub-command 0C) or off (sub-command 0B). The vendor's SDK
-    mixes up these two sub-commands."""
+    """Return the frame that switches a bus servo's torque on (sub-command 0C) or off (0B). The vendor's SDK mixes up
+    the two. Raises FrameError."""
     if not isinstance(on, bool):
         raise FrameError(f"on is {on!r}, must be True or False")
     return frame(BUS_SERVO, bytes((TORQUE_ON if on else TORQUE_OFF, _id(servo))))
 
 
 def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-    """Say in a few words why these bytes must not be written as a frame for these bus servos. Returns "" if they may be
-    written.
-
-    It accepts only frames that the functions of this module make. Never raises, whatever the bytes are.
-    """
+    """Return the reason to refuse these bytes for these bus servos, in a few words, or "" to accept them. It accepts
+    only frames that this module makes. Never raises."""
     size = len(frame)
     if size < 5 or frame[:2] != HEAD or frame[2] != BUS_SERVO:
         return "not a bus servo's frame"
@@ -173,7 +169,7 @@ def moves(frame: bytes) -> list[tuple[int, int, int]]:
 
 
 def _move_fault(data: bytes, longest_ms: int) -> str:
-    """Return the fault in the data of a move. Returns "" if there is none. The ids of the servos are not checked."""
+    """Return the fault in the data of a move, or "". The ids of the servos are not checked."""
     if len(data) <= _MOVES_AT or len(data) != _MOVES_AT + 3 * data[3]:
         return "a count that is not its data's"
     duration_ms: int = _U16.unpack_from(data, 1)[0]
@@ -187,8 +183,8 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Say where this move must not be cut short. If it were cut there, zeros would complete it to a wrong move: a servo
-    would go to a wrong position, or a servo with the id 0 would move. Returns "" if no cut is dangerous. A cut before
-    the first servo is never dangerous, because the completed frame then moves no servo."""
+    """Return a text that names the first cut after which zeros would complete this move to a wrong move, or "". A servo
+    would then go to a wrong position, or a servo with the id 0 would move. A cut before the first servo is harmless,
+    because the completed frame moves no servo."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

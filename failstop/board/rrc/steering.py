@@ -1,10 +1,9 @@
 """Steering: the frame that turns the servo of a steered base, and a function that checks the frame before it is
 written.
 
-Steering counts as motion, so this frame is part of the same write as the motor frame before it, and the two are
-accepted or refused together. A stop has no steering frame, so it leaves the steered wheels at their angle. If the
-steering servo is a bus servo, its frame holds up the board's receiver for MOVE_NS, and so delays a stop that comes
-right after it.
+Steering counts as motion. The steering frame follows the motor frame in the same write, and both are accepted or
+refused together. A stop leaves the steered wheels at their angle. If the servo is a bus servo, its frame holds up the
+board's receiver for MOVE_NS, and delays a stop that comes right after it.
 """
 
 from __future__ import annotations
@@ -38,11 +37,11 @@ class Steering(ServoSteering):
     __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
-        """Return the frame that steers to this angle, positive to the left. Raises FrameError for an angle larger than
-        allowed.
+        """Return the frame that steers to this angle, positive to the left. Raises FrameError if the angle is too
+        large.
 
-        If the frame were cut short, the zeros of the stop burst might complete it. To prevent this, the time for the
-        move (TAKES_MS) may be made a few milliseconds longer.
+        The move takes TAKES_MS, or a few milliseconds longer. Otherwise the zeros of the stop burst might complete a
+        cut frame.
         """
         pulses = self._pulses(angle_rad)
         if self.servo.kind == BUS:
@@ -52,8 +51,7 @@ class Steering(ServoSteering):
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
-        the bytes are."""
+        """Return the reason to refuse these bytes as a steering frame, or "" to accept them. Never raises."""
         if self.servo.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"

@@ -1,16 +1,16 @@
 """The lines of JSON for Waveshare's ugv_base_ros: commands to the board, and reports from it. Firmware source: commit
 c967326.
 
-A line is a JSON object, and its field T says which command or which report it is. The stop begins with a line feed. If
-the line before the stop was cut short, this line feed ends it. A cut line is not JSON, so the board ignores it.
-failstop never writes `{}`, `null` or only the end of a line, because the board would take each of these for the command
-that stops the wheels and switches an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends
-T:13 instead, which does not feed the board's watchdog.
+A line is a JSON object. Its field T names the command or the report. The stop begins with a line feed, which ends any
+line that was cut short before it. The board ignores a cut line, because it is not JSON. failstop never writes `{}`,
+`null` or only the end of a line: the board would take each of them for the command that stops the wheels and switches
+an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends T:13 instead, which does not feed the
+board's watchdog.
 
-A line has no checksum. So a speed is written so that a byte lost on the cable can't make it larger. For example, 0.171
-m/s is `17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2,
-which the board ignores. Shorter spellings are not safe: in `0.171` a lost point would make 171, and in `1e-3` a lost 3
-would make 1, which ArduinoJson accepts.
+A line has no checksum, so speeds are written in a form that no lost byte can make larger. For example, 0.171 m/s is
+`17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2, which
+the board ignores. Shorter forms are not safe: `0.171` without its point is 171. `1e-3` without its 3 is 1, because
+ArduinoJson accepts `1e-`.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ _AUX_LINE = re.compile(rf'\{{"T":(?:{"|".join(map(re.escape, _AUX_T.values()))})
 
 
 def aux(kind: int, fields: dict[str, object]) -> bytes:
-    """Return the line for lights, gimbal or display. `kind` is one of AUX, and the fields are numbers and short texts.
-    Empty if the line would be too long or has a field that is not known."""
+    """Return the line for lights, gimbal or display. `kind` is one of AUX. The fields are numbers and short texts.
+    Empty if the line would be too long or a field is not known."""
     rest = "".join(f",{json.dumps(key)}:{json.dumps(_short(value))}" for key, value in fields.items())
     line = f'{{"T":{_AUX_T[kind]}{rest}}}\n'.encode()
     return b"" if check_aux(line) else line
@@ -95,8 +95,8 @@ def _short(value: object) -> object:
 
 
 def check_aux(frame: bytes) -> str:
-    """Say why these bytes must not be written as a line for lights, gimbal or display. Returns "" if they may be
-    written."""
+    """Return the reason to refuse these bytes, or "" to accept them. It accepts a line for lights, gimbal or display,
+    and RADIO_OFF."""
     if frame == RADIO_OFF:
         return ""
     if len(frame) > _AUX_BYTES or not _AUX_LINE.fullmatch(frame.decode("ascii", "replace")):
@@ -105,15 +105,15 @@ def check_aux(frame: bytes) -> str:
 
 
 def watchdog(after_ns: int) -> bytes:
-    """Return the line that sets the board's own watchdog: the board then stops its wheels this long after the last
-    motion line. The board does not answer this line, and forgets the time when it loses power. Raises FrameError."""
+    """Return the line that makes the board stop its wheels this long after the last motion line. The board does not
+    answer the line, and forgets the time when it loses power. Raises FrameError."""
     after_ms = integer("watchdog in ms", after_ns // 1_000_000, *WATCHDOG_MS)
     return f'\n{{"T":136,"cmd":{after_ms}}}\n'.encode()
 
 
 def reports() -> LineReader:
-    """Make a reader for the board's lines. Each line is a report. A line that is not a JSON object is dropped, because
-    the board prints text while it starts."""
+    """Make a reader for the board's lines. The board's boot text becomes Restarted. Any other line that is not a known
+    report or answer is dropped."""
     return LineReader(_samples, LONGEST_LINE)
 
 

@@ -1,13 +1,13 @@
-"""The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and what the driver gets from
-the board.
+"""The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and the bytes that the driver
+gets from the board.
 
 T:1 sets the speeds of the wheels, and T:13 the speed and turn rate of the base. The values of T:13 may be numbers or
 texts of numbers. T itself may be a text too, because the vendor's ROS 2 node sends it as a text. A line without T
 counts as T:0, the board's emergency stop. failstop makes it a plain stop, so an arm keeps its torque.
 
 The board acknowledges nothing, so a refused line needs no answer. The board's reports are passed on. T:1001 comes
-twenty times a second, but is passed on less often or not at all if the driver has asked for that. Answers to failstop's
-own questions are kept, and given to a driver that asks the same question.
+twenty times a second, but a driver can ask for fewer of these reports, or none. Answers to failstop's own questions are
+kept, and given to a driver that asks the same question.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class UgvDriver:
     """Reads the lines that one driver program writes to the guard port, and answers them as the board would."""
 
     def __init__(self, track_m: float) -> None:
-        """`track_m` is the distance between the left and the right wheels. It converts T:13's turn rate into wheel
-        speeds."""
+        """`track_m` is the distance between the left and the right wheels. It turns T:13's turn rate into wheel speeds.
+        More than _TRACK_M counts as _TRACK_M."""
         self.openers, self.patience_ns, self.past_ns = OPENERS, PATIENCE_NS, 0
         self._half_m = min(track_m, _TRACK_M) / 2.0
         self._line = b""
@@ -155,8 +155,8 @@ class UgvDriver:
         return [DriverRefusal(f"T:{kind}", why)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Return those of the board's reports that are for the driver, in whole lines. The answers to failstop's own
-        questions are kept instead, for wrote()."""
+        """Return the board's reports for the driver, in whole lines. Keeps the answers to failstop's own questions for
+        wrote() instead."""
         *lines, rest = (self._heard + chunk).split(b"\n")
         self._heard = rest[-codec.LONGEST_LINE :]
         return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
@@ -185,8 +185,8 @@ def _is_number(value: object) -> bool:
 
 
 def _float(value: object) -> float:
-    """Return the number for which the board takes a value. A text that spells a number counts as this number. Anything
-    that is neither a number nor such a text counts as 0."""
+    """Return the number that the board reads from a value: a number, a text that spells a number, or true (1). Anything
+    else counts as 0."""
     if isinstance(value, bytes):
         try:
             value = lenient.number(value)
@@ -205,6 +205,5 @@ def _whole(value: object) -> int:
 
 
 def language(settings: Mapping[str, float | str]) -> UgvDriver:
-    """Make a UgvDriver for a program that has opened the guard port. The setting wheels.track_m says how wide the base
-    is."""
+    """Make a UgvDriver for a program that has opened the guard port. It uses the setting wheels.track_m."""
     return UgvDriver(float(settings.get("wheels.track_m", _TRACK_M)))

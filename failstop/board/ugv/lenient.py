@@ -1,8 +1,9 @@
 """Reads JSON from a driver's line as ArduinoJson does, which accepts more than JSON.
 
 ArduinoJson (6.21, 7.2) accepts single quotes, keys without quotes, numbers with a plus, and numbers without digits on
-one side of the point. It ignores whatever follows the first value, except after a number. A NUL byte ends the line.
-What ArduinoJson refuses is refused here too, because a motion that the board would ignore must not turn a wheel.
+one side of the point. It ignores everything after the first value, unless this value is a number. A NUL byte ends the
+line. This module refuses everything that ArduinoJson refuses, because a motion that the board would ignore must not
+turn a wheel.
 """
 
 from __future__ import annotations

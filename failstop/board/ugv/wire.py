@@ -1,8 +1,8 @@
 """The Wire that describes Waveshare's UGV. Each time failstop opens the port, it sets the board's own watchdog.
 
-A stop begins with a line feed, which ends any line that was cut short before it. So a stop may directly follow any
-other bytes, and needs no silence on the serial line before it. Motion lines feed the watchdog, and so does the stop
-that is written again and again while the robot is stopped.
+A stop begins with a line feed, which ends a cut line before it. So a stop may follow any bytes, without a silence on
+the serial line. Motion lines feed the watchdog, and so does the stop that is written again and again while the robot is
+stopped.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
 """The packets of the VESC firmware. Source: vedderb/bldc b9d287b.
 
-A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. A packet for
-a controller on the CAN goes to the controller at the port, which passes it on. The payload of such a packet begins with
-FORWARD and the CAN id, and the payload for the controller on the CAN follows. The frame for several motors has one
-packet for each, in one write. The packet for the motor at the port comes first. Otherwise this motor would wait for up
-to 5 ms if nothing on the CAN took the other packet (comm_can.c).
+A packet is `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. The payload begins with its command. The
+controller at the port passes on packets to a controller on its CAN. The payload of such a packet is FORWARD, the CAN
+id, and the payload for the other controller. The frame for several motors has one packet for each, in one write. The
+packet for the motor at the port comes first. Otherwise this motor would wait for up to 5 ms if nothing on the CAN took
+the other packet (comm_can.c).
 
-The stop is a duty cycle of zero. The firmware then brakes with as much current as the motor is configured for, and
-after that keeps the phases shorted. Three other commands could stop a motor, but they are worse (mcpwm_foc.c,
-foc_math.c). A current of zero lets the motor roll. A speed of zero follows a ramp, by default 25,000 ERPM per second. A
-brake current would need a number that fits the motor.
+The stop is a duty cycle of zero. The firmware brakes with as much current as the motor is configured for, and then
+keeps the phases shorted. Other commands are worse (mcpwm_foc.c, foc_math.c). A current of zero lets the motor roll. A
+speed of zero follows a ramp, by default 25,000 ERPM per second. A brake current would need a number that fits the
+motor.
 
-If a receiver waits for the rest of a packet and that packet fails, it looks for other packets in the bytes that it has
-received. So a stop among these bytes is never lost, only late (packet.c, since firmware 3.48). After a cut packet of
-this module the delay is a few bytes, or up to 260 if the speed in the packet looks like the head of another packet.
-After a garbled length, or a long packet of another program, it is up to PENDING bytes.
+If a packet fails, the receiver looks for other packets in the bytes that it has received. So a stop among these bytes
+is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is a few bytes, or
+up to 260 if the speed in the packet looks like the head of another packet. After a garbled length, or a long packet of
+another program, it is up to PENDING bytes.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ def payloads(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 def _pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
-    """Return the payload of each whole packet, with the length of that packet. Bytes that belong to no packet are
-    skipped one at a time, as the firmware does. For each skipped byte the payload is empty and the length is 1."""
+    """Yield (payload, length) for each whole packet. Bytes that belong to no packet are skipped one at a time, as the
+    firmware does. Each skipped byte gives an empty payload and the length 1."""
     at = 0
     while at < len(data):
         head = data[at]
@@ -136,14 +136,14 @@ VALUES, FIRMWARE = packet(b"\x04"), packet(b"\0")
 
 
 def check_aux(frame: bytes) -> str:
-    """Say why these bytes must not be written as a frame that is not motion. Returns "" for VALUES and FIRMWARE, the
-    only two that may be written."""
+    """Return the reason to refuse these bytes as a frame that is not motion, or "" to accept them. It accepts only
+    VALUES and FIRMWARE."""
     return "" if frame in (VALUES, FIRMWARE) else "no question for values or the firmware"
 
 
 class Steering(ServoSteering):
     """Makes and checks the frames for the steering servo at a controller. The settings give the pulse for straight
-    ahead and the pulses per radian in us. All pulses must be 1000 to 2000 us long."""
+    ahead and the change per radian, both in us. All pulses must be 1000 to 2000 us long."""
 
     __slots__ = ()
 
@@ -153,8 +153,7 @@ class Steering(ServoSteering):
         return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
 
     def check(self, frame: bytes) -> str:
-        """Say why these bytes must not be written to steer. Returns "" if they may be written. Never raises, whatever
-        the bytes are."""
+        """Return the reason to refuse these bytes as a steering frame, or "" to accept them. Never raises."""
         payload = frame[2:-3]
         if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
             return "not a steering frame"
@@ -163,8 +162,8 @@ class Steering(ServoSteering):
 
 
 class Motors:
-    """Makes and checks the frames for one or two motors. A single motor belongs to the controller at the port. Of two
-    motors, the left one belongs to the controller at the port, and the right one to the controller on the CAN."""
+    """Makes and checks the frames for one or two motors. The controller at the port has the only motor, or the left
+    motor. The controller on the CAN has the right motor."""
 
     def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
         """`can_ids` are the CAN ids of the controllers that are not at the port."""
@@ -178,8 +177,7 @@ class Motors:
         return b"".join(packet(head + payload) for head, payload in zip(self._heads, every, strict=True))
 
     def _written(self, speeds: Sequence[float]) -> bytes:
-        """Return the frame for these speeds, truncated towards zero. A motor whose speed is zero gets the command that
-        brakes it."""
+        """Return the frame for these speeds, truncated towards zero. A motor with the speed zero is braked."""
         whole = [int(speed) for speed in speeds]
         return self._packets([_SPEED.pack(RPM if speed else DUTY, speed) for speed in whole])
 
@@ -205,8 +203,7 @@ class Motors:
         return tuple(found) if len(found) == self.wheels else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Say why these bytes must not be written as a motion frame. Returns "" if they may be written. Never raises,
-        whatever the bytes are."""
+        """Return the reason to refuse these bytes as a motion frame, or "" to accept them. Never raises."""
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
@@ -231,8 +228,8 @@ class Values(Data):
 
 class Replies(Reader):
     """Decodes the controllers' answers. A question counts as answered when all controllers have answered it. The
-    controller at the port answers first. An answer of the second controller counts only if it belongs to the question
-    that the first controller has just answered."""
+    controller at the port answers first. An answer of the second controller counts only for the question that the first
+    controller has just answered."""
 
     def __init__(self, other: bytes) -> None:
         """`other` is the CAN id of the second controller, as one byte. Empty if there is no second controller."""

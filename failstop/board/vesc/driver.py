@@ -2,10 +2,10 @@
 
 A driver sets speeds in ERPM and the position of the servo, and asks for the firmware's version and for values
 (RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
-port, and the answers are passed back to the driver. If a driver sets only a speed, the servo stays where the driver
-sent it before. A brake current sets the motor's speed to zero, and so does a duty cycle or a current of zero. Any other
-duty cycle or current is refused, and the wheels stop, because failstop can't limit the speed that results from it.
-Bytes that are not a packet are skipped as the firmware skips them.
+port, and the answers are passed back. A new speed leaves the servo where the driver sent it before. A brake current
+sets the motor's speed to zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is
+refused, and so is a position or a handbrake current. The wheels then stop, because failstop can't limit the speed that
+would result. Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class VescDriver:
     """Reads the packets that one driver program writes to the guard port, and returns the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
-        """`can_id` is the CAN id of the second motor, or None if there is only one motor. `steering` is None if the
-        base is not steered. Otherwise it is (the servo's pulse for straight ahead, the change of the pulse for one
-        radian to the left), both in us."""
+        """`can_id` is the CAN id of the second motor, or None for a single motor. For a steered base, `steering` is
+        (the servo's pulse for straight ahead, the change of the pulse for one radian to the left), both in us.
+        Otherwise it is None."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]

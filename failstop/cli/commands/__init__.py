@@ -1,5 +1,5 @@
-"""The subcommands of `failstop`. Each module has two functions: add_arguments(parser), and main(arguments), which
-returns the exit code."""
+"""The subcommands of `failstop`. Each module has add_arguments(parser), and main(arguments), which returns the exit
+code."""
 
 from __future__ import annotations
 

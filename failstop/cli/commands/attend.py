@@ -44,9 +44,9 @@ class Questions:
     """Asks a terminal again and again where its cursor is. The answers prove that the terminal is still connected, for
     example through ssh. Pure, because the times are arguments.
 
-    Each question first moves the cursor to another column, and the answer reports this column. A terminal answers by
-    itself, in the order of the questions. So an answer belongs to the oldest unanswered question with the same column.
-    Even if it is late, an answer proves only that the terminal was connected at the time of its question.
+    Each question first moves the cursor to another column, and the answer reports this column. A terminal answers in
+    the order of the questions. So an answer belongs to the oldest unanswered question with the same column. A late
+    answer proves only that the terminal was connected when the question was asked.
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class Questions:
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """Handle the answers in these bytes from the terminal. Returns the other bytes, which a person has typed."""
+        """Handle the terminal's answers in these bytes, and return the bytes that a person has typed."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._answered(int(found[2]))
@@ -113,8 +113,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """If this process runs inside a program that would answer in place of the terminal, such as tmux, return the name
-    of that program. Otherwise return an empty text."""
+    """Return the name of a program around this process, such as tmux, that would answer in place of the terminal. Empty
+    if there is none."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):
         while process := process.parent() if process else None:

@@ -127,7 +127,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _fastest(settings: Settings, metres: float) -> str:
-    """Describe how fast the robot may drive if it must stop within `metres`."""
+    """Describe how fast the robot may drive if it must stop within `metres`. Raises SettingError unless `metres` is
+    above 0."""
     if not metres > 0:
         raise SettingError(f"--within {metres:g}: it must be a distance above 0, in m")
     _, latest = distance.furthest(settings)
@@ -139,7 +140,7 @@ def _fastest(settings: Settings, metres: float) -> str:
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:
-    """For each setting, by its whole key such as `board.kind`, return its value, unit, origin and allowed values. The
+    """Return the value, unit, origin and allowed values of each setting, by its whole key such as `board.kind`. The
     origin is "default" or the path of the settings file. Raises SettingError."""
     read = config.read(path)
     return {
@@ -171,9 +172,9 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """Return an example settings file, with every default and some sample tables. Every line is a comment. Otherwise a
-    copy of the file would keep the old default after a later version of failstop has changed it. There are no [table]
-    lines, because a setting that somebody adds at the end of the file would then belong to the last table."""
+    """Return an example settings file, with every default and some sample tables. Every line is a comment, so that a
+    copy of the file does not keep old defaults after an update of failstop. There are no [table] lines, because a
+    setting at the end of the file would then belong to the last table."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {

@@ -85,8 +85,8 @@ def main(arguments: Namespace) -> int:
 
 
 def report(look: Look, told: dict[str, Any]) -> str:
-    """Return a report that can be sent to others, with the findings, versions, settings and the last incident. It
-    leaves out the values of the settings in WITHHELD, and the name of this computer."""
+    """Return a report to send to others, with the findings, versions, settings and the last incident. It leaves out the
+    values of the settings in WITHHELD, and the name of this computer."""
     try:
         with files.as_written(meant := files.find(files.LAST, look.name, os.environ)):
             incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))

@@ -42,7 +42,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. With --follow it runs until Ctrl-C."""
+    """Run the command. With --follow it runs until Ctrl-C. If no service is running at the start, it prints the last
+    events of a dead run and raises NoService."""
     name = arguments.name
     since_s = since(arguments.since, time.time()) if arguments.since else 0.0
     chosen = kinds(arguments.kind) if arguments.kind else None
@@ -90,15 +91,15 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """If the wall clock jumped between two events, return a line that says so, because times of day from before the
-    jump can't be compared with later ones. Otherwise return an empty list."""
+    """Return a line about a jump of the wall clock between two events, or an empty list if it did not jump. Times of
+    day from before a jump can't be compared with later times."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
-    """Return an event as lines for people, wrapped to this many columns. If `columns` is None, the result is one line
-    of any length."""
+    """Return an event as lines for people, wrapped to this many columns. If `columns` is None, the line is not
+    wrapped."""
     line = summary.event(event, now_s)
     indent = sum(style.cells(text) for text, _ in line[:2])
     return [line] if columns is None else style.wrap(line, columns, indent if indent < columns // 2 else 2)

@@ -102,8 +102,8 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """If somebody has set the clock, so that the times of day in an incident may be wrong, return a warning. Otherwise
-    return an empty text. To find this out, all saved incidents are compared."""
+    """Return a warning if somebody has set the clock, so that the times of day in an incident may be wrong. Otherwise
+    return an empty text. This compares all saved incidents."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -122,8 +122,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """Return the path of the incident file that the user has asked for. If the user wants the last one, first wait for
-    the file of a stop that is still being saved. Raises IncidentError."""
+    """Return the path of the incident file that the user has asked for. For the last incident, first wait for the file
+    of a stop that is still being saved. Raises IncidentError."""
     # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
@@ -143,8 +143,8 @@ def _meant(arguments: Namespace) -> str:
 
 
 def _newer(name: str, stop: Stop | None) -> str:
-    """If the wheels were stopped after the newest saved incident, describe that stop, and why it is not saved. Empty if
-    no such stop is known. `stop`: the result of unsaved()."""
+    """Describe a stop that is newer than the last saved incident, and say why it is not saved. Empty if no such stop is
+    known. `stop`: the result of unsaved()."""
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
@@ -154,8 +154,8 @@ def _newer(name: str, stop: Stop | None) -> str:
 
 
 def unlatched(name: str) -> str:
-    """Describe the last stop of the wheels if it was not a latched stop, for example if motion was disabled: its time,
-    its reason, and that only a latched stop has an incident. Empty if the last stop was a latched one, or if a stop is
+    """Describe the last stop of the wheels if it was not latched, for example if motion was disabled. The text has the
+    stop's time and reason, and says that the stop has no incident. Empty if the last stop was latched, or if a stop is
     latched now."""
     try:
         state, events = StateReader(name).read(), EventLog(name).read()
@@ -184,8 +184,7 @@ def unsaved(name: str) -> Stop | None:
 
 
 def failed(name: str, stop: Stop) -> str:
-    """Return the reason why the service could not save the incident of its last stop. Empty if the service has reported
-    no failure."""
+    """Return the reason why the service could not save the incident of its last stop. Empty if no failure is known."""
     try:
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:

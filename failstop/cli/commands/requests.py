@@ -97,8 +97,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _limit(robot: Robot, percent: float | None) -> str:
-    """Set the speed limit. If `percent` is None, only describe the present limit. Raises Refused if the limit is not
-    allowed."""
+    """Set the speed limit, and return a text about it. If `percent` is None, only describe the present limit. Raises
+    Refused if the limit is not allowed."""
     if percent is None:
         now = robot.state.speed_limit
         return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
@@ -108,9 +108,10 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
-    """Drive at the velocity `asked` for `for_s` seconds. Afterwards the caller must stop the wheels. The commands count
-    as manual, because a person has typed them. Raises Refused as soon as something blocks the wheels or a source with a
-    higher priority drives, and also at the end if no command was passed on to the wheels."""
+    """Drive at the velocity `asked` for `for_s` seconds, and return a text about it. Afterwards the caller must stop
+    the wheels. The commands count as manual, because a person has typed them. Raises Refused if the base can't move
+    sideways as asked, if something blocks the wheels, if a source with a higher priority drives, or if the wheels got
+    no command."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
@@ -137,8 +138,8 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
 
 
 def _blocked(robot: Robot) -> Refused | None:
-    """Return the reason why a drive command can't move the robot at present, with the shell command that helps. None if
-    the robot can be driven."""
+    """Return the reason why the robot can't be driven at present, with the shell command that helps. None if it can be
+    driven."""
     state = robot.state
     if state.cause:
         return Refused(IS_LATCHED, state.cause, steps.line(state))

@@ -69,11 +69,11 @@ def main(arguments: Namespace) -> int:
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
     """Choose the port and the board for the first stop. Both come from the settings file, even if other settings in it
-    are wrong. If the file can't be read, they are those of the last run, or else the defaults. If the option --device
-    is given, it replaces the port.
+    are wrong. If the file can't be read, they come from the last run, or else from the defaults. The option --device
+    replaces the port.
 
-    Returns four values: the port, the board, the settings in the file (unchecked; None if they can't be read), and a
-    text about the port that is printed after the stop. Raises FailstopError.
+    Returns four values: the port, the board, the unchecked settings in the file (None if they can't be read), and a
+    text about the port that is printed if the service can't start. Raises FailstopError.
     """
     if (read := _read(arguments.config)) is None:
         from failstop.board import kept  # imported only here, so that the first stop does not wait for it
@@ -104,8 +104,8 @@ def _read(path: str | None) -> dict[str, object] | None:
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
-    """Check the settings and the name, then turn this process into the supervisor. If `port` is None, return after the
-    checks. Raises one of REFUSALS."""
+    """Check the settings and the name, then turn this process into the supervisor. If `port` is None, only check.
+    Raises one of REFUSALS."""
     from failstop.supervisor import fit, status  # imported only here, so that the first stop does not wait for them
 
     rights.raise_limits()

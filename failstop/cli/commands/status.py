@@ -65,8 +65,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. If the service has died, `failstop why` prints what is still known about it, and returns an
-    error code. In every other case without a running service, this raises NoService."""
+    """Run the command. Raises NoService if no service is running. But if the service has died, `failstop why` prints
+    the reason and returns an error code."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -139,9 +139,9 @@ class Live:
     def lines(
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
     ) -> list[Line]:
-        """Return the lines of the screen for a state. Each call adds one step to the sparklines, so call it at a steady
-        rate. `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the last events
-        fill the rows that are left. `events`: the events of this run, the oldest first."""
+        """Return the lines of the screen for a state. Call this at a steady rate, because each call adds one step to
+        the sparklines. `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the
+        last events fill the rows that are left. `events`: the events of this run, the oldest first."""
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         fact = state.turning.does, state.turning.unexpected
@@ -193,8 +193,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """Return the last events, one in each row, as many as fit into `room` rows. The rows don't say what to do next,
-    because the screen already shows that higher up."""
+    """Return the last events, one in each row, as many as fit into `room` rows. They leave out the next step, because
+    the screen shows it higher up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -100,9 +100,13 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
 
-    Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases: the stop may have
-    gone to the wrong port; a board that can answer is silent; a service has written the stop but the wheels may still
-    turn; --end-service was used outside of the service's systemd unit.
+    Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases:
+
+    - The stop may have gone to the wrong port.
+    - A board that can answer is silent. With --end-service, this is only printed.
+    - A service has written the stop, but the wheels may still turn.
+    - With --services, a service has not confirmed its stop.
+    - --end-service was used outside of the service's systemd unit.
     """
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -139,8 +143,8 @@ NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """If the user has named a port, ask every service that may use that port to stop the robot, whatever the service's
-    name is. Otherwise ask the service `order.name`."""
+    """Ask the service `order.name` to stop the robot. If the user has named a port, ask every service that may use that
+    port instead."""
     try:
         target = order.target
         device = target.wanted()
@@ -181,9 +185,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write the stop to the port itself. Try again until the stop is written or the waiting time (--wait) is over.
-    After a failed try, if another process holds the port, look for a service that has just been started, and ask it. If
-    the port of the last run can't be used, try the port that the settings name."""
+    """Write the stop to the port itself, and try again until it is written or the waiting time (--wait) is over. If
+    another process holds the port, ask a service that has just been started. If the port of the last run can't be used,
+    try the port that the settings name."""
     target = order.target
     by_service: list[int] = []
 
@@ -215,8 +219,8 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """If the service `order.name` was started after this program began to try the port, ask it to stop the robot, but
-    only once. Returns a list with the exit code if the service has stopped the robot, else an empty list."""
+    """Ask the service `order.name` to stop the robot, but only once, and only if it was started after the first
+    attempt. Returns a list with the exit code if the service has stopped the robot, else an empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -259,8 +263,8 @@ def _every_service(reason: str, who: str) -> int:
 class Target:
     """Chooses the port for the stop, and how long to try. The port comes from the first of these that names one: the
     option --device, the file given with --config, a running service, the last run, the installed settings file, and the
-    default. The settings file is read only if it is needed. Only its settings about the stop are checked, because a
-    mistake in any other setting must not prevent the stop."""
+    default. The settings file is read only if it is needed. Only its settings about the stop are checked, so that a
+    mistake in another setting can't prevent the stop."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Check the options. Raises SettingError."""
@@ -292,7 +296,7 @@ class Target:
         the board for an answer needs that code."""
 
     def wanted(self) -> str:
-        """Return the port that the user has named, with an option or in the file given with --config. Empty if there is
+        """Return the port that the user has named, with --device or in the file given with --config. Empty if there is
         none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
@@ -306,8 +310,8 @@ class Target:
         return self._chosen()[0]
 
     def _chosen(self) -> tuple[str, int]:
-        """Return the port to write to, and the uid of the user whose file names the port. The uid is 0 if root's file
-        or an option names the port."""
+        """Return the port to write to, and the uid of the user whose file names it. The uid is 0 for root's file, an
+        option or the default."""
         if self._instead[0]:
             return self._instead
         if named := self._given.get(DEVICE):
@@ -319,10 +323,10 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """Return the board at the port. Its kind is that of the last run if that run used the same port, else the one
-        in the settings file, else the default. If the user has programmed the board, its Python code should not run
-        before the stop is written. So until then this returns a board that has only the stop that the last run has
-        saved, if there is one."""
+        """Return the board at the port. Its kind comes from the last run if that run used this port, else from the
+        settings file, else from the default. Until a stop is written, a stop that the last run saved for this kind
+        takes precedence. Your own board's code must not run before a stop is written, and the settings may have changed
+        since the last run. Raises FailstopError if the board can't be made."""
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -338,8 +342,8 @@ class Target:
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def _named_kind(self) -> str:
-        """If the last run used the chosen port, return the kind of board that the last run has saved. Otherwise return
-        the kind that the settings file names, or "" if it names none."""
+        """Return the kind of board from the last run if that run used the chosen port, else from the settings file.
+        Empty if neither names a kind."""
         if self._is_the_last_s():
             with contextlib.suppress(SettingError):
                 return str(BY_KEY[KIND].check(self._last.board))
@@ -362,8 +366,8 @@ class Target:
         return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
     def _guess(self) -> tuple[str, int]:
-        """Return the port that the settings file names, and the uid of the file's owner. If it names none, return the
-        default port and 0."""
+        """Return the port in the settings file and the uid of the file's owner. Without one, return the default port
+        and 0."""
         return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
@@ -372,8 +376,8 @@ class Target:
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """Return the ids of the arm's servos, from the settings file and from the last run, if the last run used the
-        chosen port. Empty if the robot has no arm."""
+        """Return the ids of the arm's servos, from the settings file, and from the last run if it used the chosen port.
+        Empty without an arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
         found += self._last.servos if self._is_the_last_s() else ()
@@ -381,7 +385,7 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The settings in the settings file. Those that the stop needs are checked, and left out if they are wrong.
+        """The settings in the settings file. Settings that the stop needs are checked, and left out if they are wrong.
         Empty if the file does not exist or can't be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
@@ -402,9 +406,9 @@ class Target:
         return table
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
-        """Write the stop, trying for at most `most_s` seconds. Returns the number of seconds until the stop was
-        written. `otherwise` is called after each failed try. It returns True if it has stopped the robot in another
-        way. Raises PortError."""
+        """Write the stop, trying for at most `most_s` seconds, and then stop the arm. Returns the number of seconds
+        until the stop was written. `otherwise` is called after each failed try, and returns True if it has stopped the
+        robot in another way. Raises PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -437,9 +441,9 @@ class Target:
         return after_s
 
     def wrote_instead(self, error: PortError) -> bool:
-        """If the chosen port is that of the last run, write the stop to another one: the port that the settings file
-        names, or the default port. This helps if the board has got another port since the last run, because it was
-        plugged in again. Returns True if a stop was written."""
+        """If the port was chosen only because the last run used it, write the stop to the port in the settings file or
+        the default port. The board may have got another port when it was plugged in again. Returns True if a stop was
+        written."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -452,9 +456,9 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """Return True if this program runs as root and has refused to open the port that a user's file names. As root,
-        it refuses a port that this user may not open, and anything that is not a serial port. Otherwise a user could
-        make root write to any device."""
+        """Return True if this program, as root, has refused to open the port that a user's file names. As root it
+        refuses a port that this user may not open, and anything that is not a serial port. Otherwise a user could make
+        root write to any device."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
@@ -494,7 +498,7 @@ class Target:
             standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
-        """Return True, and print a warning, if the stop was written to a port that was only guessed."""
+        """Print a warning and return True if the stop was written to a port that was only guessed."""
         if self._instead[0]:
             gone = f"{self._last.device}, the port of the last run, {self._instead_of}"
             standard.say(
@@ -513,8 +517,8 @@ class Target:
         return True
 
     def explained(self, error: PortError) -> str:
-        """Return the reason why no stop was written, and what to do. If the process that holds the port can be found,
-        the text names it."""
+        """Return the reason why no stop was written, and what to do. The text names the process that holds the port, if
+        that process can be found."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
             return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"

@@ -138,8 +138,7 @@ class Pilot:
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
         """Act on the keys that were typed. Call this even if no key was typed, because the robot must stop when a key
-        is no longer held. `late`: True if the keys may be old. Old keys may stop the robot or end the program, but do
-        nothing else."""
+        is no longer held. `late`: True if the keys may be old. Old keys may only stop the robot or end the program."""
         self._drop_old_note(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
@@ -168,8 +167,8 @@ class Pilot:
 
     def _drop_old_note(self, state: State) -> None:
         """Drop the note if the state has changed since the last call, unless the note is newer than that call. If
-        motion was disabled, also forget that this program has enabled it. Otherwise, if somebody else enabled motion
-        later, this program would disable it at its end."""
+        motion was disabled, also forget that this program has enabled it. Otherwise it might later disable motion that
+        somebody else has enabled."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -203,7 +202,8 @@ class Pilot:
             self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
-        """Act on a key that does not move the robot. An unknown key counts as letting go of the motion keys."""
+        """Act on a key that does not move the robot. Every such key, even an unknown key, lets go of the motion keys.
+        Only the keys for the speed don't."""
         if key in STEPS_PERCENT:
             self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:
@@ -222,8 +222,8 @@ class Pilot:
                     self._asked = True
 
     def _enable(self) -> None:
-        """Enable motion, and remember to disable it when this program ends. This is remembered before the service
-        answers, because the answer may get lost although the service has enabled motion."""
+        """Enable motion, and remember to disable it when this program ends. It is remembered before the service
+        answers, because the answer may get lost."""
 
         def show(text: str) -> None:
             self.note = (text, PLAIN)
@@ -236,8 +236,8 @@ class Pilot:
             raise
 
     def _enable_beside(self) -> None:
-        """Enable motion in another thread, because with an arm this takes seconds, and the space key must stop the
-        robot meanwhile."""
+        """Enable motion in another thread. With an arm this takes seconds, and the space key must stop the robot
+        meanwhile."""
         with contextlib.suppress(NoService), self._noted():  # the next read of the state shows NoService too
             self._enable()
 
@@ -260,9 +260,8 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """Return the reason why a motion key must do nothing, or None if the key may drive. There are two reasons: the
-        wheels are stopped; or another program commands as the same source, so a command of this program would latch a
-        stop."""
+        """Return the reason why a motion key must do nothing, or None if the key may drive. Either the wheels are
+        stopped, or another program commands as the same source. In the second case a command would latch a stop."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
@@ -283,8 +282,8 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Send a command. Nothing is sent if another program commands as the same source, because a second publisher of
-        a source latches a stop, even with a command of zero."""
+        """Send a command, unless another program commands as the same source. A second publisher of a source latches a
+        stop, even with a command of zero."""
         if wanted is None or self._rival:
             return
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))

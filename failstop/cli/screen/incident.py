@@ -47,9 +47,9 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
-    """Return the lines about one incident: the facts, and the important part of the story, which together need no
-    scrolling. With `whole`, return the facts, the whole story, and the circumstances. `clock`: why the times of day in
-    this incident may be wrong; empty if they are right."""
+    """Return the lines about one incident: the facts and the important part of the story, few enough to need no
+    scrolling. With `whole`, return the facts, the whole story, and the circumstances. `clock`: why the times of day may
+    be wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
@@ -107,8 +107,8 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _first_frame(incident: Incident) -> str:
-    """Return a text with the time of the stop's first bytes. Empty if the stop's last bytes were written less than
-    LEAST_APART_NS later, because the screen shows the time of the last bytes anyway."""
+    """Return a text with the time of the stop's first bytes. Empty if the last bytes came less than LEAST_APART_NS
+    later, because the screen shows the time of the last bytes anyway."""
     written_us = (incident.head["stop"] or {}).get("written_us")
     bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
     first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
@@ -118,8 +118,8 @@ def _first_frame(incident: Incident) -> str:
 
 
 def _before(incident: Incident) -> str:
-    """Describe the last command before the cause. If it was zero because nothing drove the robot, say for how long this
-    had been so."""
+    """Describe the last command before the cause. If nothing drove the robot, say for how long zero had been
+    commanded."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -135,8 +135,8 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """Describe the board's last report about its wheels before the cause, and what it reported until the end of the
-    file. Each time is that of a report, because nobody knows what the wheels did between two reports."""
+    """Describe the board's last report about its wheels before the cause, and its reports until the end of the file.
+    All times are those of reports, because nobody knows what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -192,16 +192,15 @@ def _battery(incident: Incident) -> str:
 
 
 def _ages(incident: Incident) -> str:
-    """For each kind of reading, for example the battery's, say how old the newest reading was at the time of the
-    cause."""
+    """Say how old the newest reading of each kind, for example the battery's, was at the time of the cause."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
     return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN
 
 
 def _around(incident: Incident) -> list[Fact]:
-    """Return the circumstances: battery, readings, computer, settings and versions. They may help to find the cause if
-    the story does not explain it."""
+    """Return the circumstances: battery, readings, computer, settings and versions. They may help if the story does not
+    explain the cause."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
     return [

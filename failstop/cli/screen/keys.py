@@ -1,14 +1,14 @@
 """Keys: turns the bytes from a terminal into the velocity for the key that is held. Pure, because the time is an
 argument.
 
-A terminal sends a key's bytes again and again while the key is held, and nothing when it is released. If several keys
-are held, the terminal repeats only the last one. Each repeat becomes one command, and the service obeys a command for
-the command timeout (0.3 s). So the robot stops when the bytes end, for example because the key is released, the
-connection is lost, or a program is suspended.
+A terminal repeats a key's bytes while the key is held, and sends nothing when it is released. If several keys are held,
+the terminal repeats only the last one. Each repeat becomes one command, and the service obeys a command for the command
+timeout (0.3 s). So the robot stops when the bytes end, for example because the key is released, the connection is lost,
+or a program is suspended.
 
-When you press a key, the robot drives for one command timeout, so even a tap moves the robot a little. The terminal
-begins to repeat the key 250 to 660 ms after the press. If the command timeout ends earlier, the wheels stop in between.
-When you release a key, the robot drives until one command timeout after the key's last repeat.
+Even a tap drives the robot for one command timeout. The terminal begins to repeat a key 250 to 660 ms after the press.
+If the command timeout ends earlier, the wheels stop in between. After a release, the robot drives until one command
+timeout after the key's last repeat.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class KeyDecoder:
     """Decodes a terminal's bytes into keys. A key is a character in lower case or the name of an arrow, such as `up`.
 
     An incomplete escape sequence is kept until the rest arrives, however long that takes. Otherwise the last letter of
-    an arrow key's sequence would count as a key, and move the robot in a wrong direction. So the escape key itself is
+    an arrow's sequence would count as a key, and move the robot in a wrong direction. So the escape key itself is
     recognized only when another key follows.
     """
 
@@ -102,8 +102,8 @@ class Hold:
         the second may be the first repeat of a held key."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
-        """Return the command to send, with each axis from -1 to 1, or None if there is nothing to send. `keys`: the
-        keys that were typed since the last call, which may be none."""
+        """Return the command to send, with each axis from -1 to 1, or None to send nothing. `keys`: the keys that were
+        typed since the last call; may be empty."""
         moving = [key for key in keys if key in AXES]
         if len(moving) > MOST_AT_ONCE or (not moving and now_s >= self._until_s):
             return self.let_go()

@@ -1,5 +1,4 @@
-"""Summary: makes the lines of `failstop status`, which show the state on one screen, and the line that shows an
-event."""
+"""Summary: makes the lines of `failstop status`, and the line that shows an event."""
 
 from __future__ import annotations
 
@@ -80,7 +79,8 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """Return the lines about the wheels: the headline, what is observed of the wheels, and the next command to type."""
+    """Return the lines about the wheels: the headline, the last observation of the wheels, and the next command to
+    type."""
     rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -88,7 +88,7 @@ def wheels(state: State) -> list[Line]:
 
 
 def observed(state: State) -> Line:
-    """Return a row about what is observed of the wheels, and how old that reading is."""
+    """Return the row with the last observation of the wheels, and its age."""
     role = FAIL if verdict.doubt(state) else WARN if verdict.unseen(state) else PLAIN
     text = "; ".join(filter(None, (seen.now(state), verdict.unreached(state))))
     return row("seen", text, role)
@@ -111,9 +111,9 @@ def _drivers(state: State) -> list[Line]:
 
 
 def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> list[Line]:
-    """Return the rows about the last stop. If it was a latched stop, the rows have its three proofs. If not,
-    `unlatched` is the event that stopped the wheels (verdict.unlatched). Then the last latched stop is shown only as an
-    earlier one, because its proofs say nothing about the last stop."""
+    """Return the rows about the last stop. A latched stop is shown with its three proofs. `unlatched` is the event of a
+    later stop that was not latched (verdict.unlatched). The latched stop is then shown only as an earlier stop, without
+    its proofs."""
     stop = state.last_stop
     if unlatched:
         told = [*row("last stop", unlatched.what, WARN), (f" ({words.ago(unlatched.t, now_s)})", DIM)]

@@ -1,5 +1,5 @@
-"""Terminal: the full screen, the keyboard and the signals for a command that shows something live. When the command
-ends, the terminal looks as before."""
+"""Terminal: the full screen, the keyboard and the signals for a live command. When the command ends, the terminal looks
+as before."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ MOST_BYTES = 4096
 
 
 class Terminal:
-    """Shows a live command on the terminal. Use it as a context manager. A signal in ENDS does not end the program at
-    once: its number is noted in `ended`, and then the loop of turns() ends."""
+    """Shows a live command on the terminal. Use it as a context manager. A signal in ENDS only sets `ended` to its
+    number, and then the loop of turns() ends."""
 
     def __init__(self) -> None:
         """Raises FailstopError if standard output is not a terminal, or if the terminal does not understand escape
@@ -84,7 +84,7 @@ class Terminal:
             self.rows = max(2, size.lines or 24)
 
     def write(self, text: str) -> None:
-        """Write a text to the terminal. If that fails, the terminal was closed, so the command ends as it does after
+        """Write a text to the terminal. If that fails, the terminal was closed. The command then ends as after
         SIGHUP."""
         data = text.encode(sys.stdout.encoding or "ascii", "replace")
         try:
@@ -98,8 +98,8 @@ class Terminal:
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
-        """Show these lines, as many as fit. Only changed lines are written. If the terminal can't take bytes now,
-        nothing is written."""
+        """Show these lines, as many as fit. Writes only changed lines, and nothing if the terminal can't take bytes
+        now."""
         if not self.writable():
             self._shown = None
             return
@@ -109,7 +109,8 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """Wait for keys, and return their bytes. Empty if nothing was typed within `timeout_s`."""
+        """Wait for keys, and return their bytes. Empty if nothing was typed within `timeout_s`. If the terminal was
+        closed, the command ends as after SIGHUP."""
         if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
@@ -121,8 +122,8 @@ class Terminal:
         return typed
 
     def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
-        """Run the loop of a live command until a signal ends it. Each pass yields two values: the bytes that were
-        typed, and the present time (time.monotonic()). The time is None if the screen need not be drawn again."""
+        """Run the loop of a live command until a signal ends it. Each pass yields the typed bytes and the present time
+        (time.monotonic()). The time is None if the screen need not be drawn again."""
         next_s = time.monotonic()
         while not self.ended:
             typed = self.wait(next_s - time.monotonic())
@@ -134,8 +135,8 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """Return the text that makes the terminal show `rows`, which must fit on the screen. `before`: the rows that the
-    terminal shows at present, or None if they are not known."""
+    """Return the text that makes the terminal show `rows`, which must fit on the screen. `before`: the rows that it
+    shows at present, or None if they are not known."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):

@@ -31,8 +31,8 @@ its range was recorded."""
 
 
 def tables(calibration: Any) -> str:
-    """The joints' settings as text. Each line has the whole key, so it may be anywhere in a file. Raises ValueError if
-    this is not the calibration of an arm, or if a value can't be right."""
+    """Return the joints' settings as text, with whole keys that need no [table]. Raises ValueError if this is not the
+    calibration of an arm, or if a value can't be right."""
     rows = calibration if isinstance(calibration, dict) else {}
     found = []
     for name in JOINTS:
@@ -67,7 +67,7 @@ def _wrong(name: str, low: int, high: int) -> str:
 
 
 def _read(path: str) -> Any:
-    """The content of the file. Raises ValueError, which says why it can't be read."""
+    """Return the content of the JSON file. Raises ValueError with the reason if it can't be read."""
     try:
         return json.loads(Path(path).read_text("utf-8"))
     except OSError as error:

@@ -45,8 +45,8 @@ class FailstopConfig(RobotConfig):  # type: ignore[misc]
     """LeRobot's cameras, by their names."""
 
     def __post_init__(self) -> None:
-        """Check the options. Raises ValueError for a value that is not allowed, and for a joint that LeKiwi does not
-        have."""
+        """Raise ValueError for a value that is not allowed, for a joint that LeKiwi does not have, or for an unknown
+        action in `teleop_keys`."""
         super().__post_init__()
         for key, words in WORDS.items():
             if (given := getattr(self, key)) not in words:

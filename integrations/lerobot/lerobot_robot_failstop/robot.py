@@ -1,7 +1,8 @@
 """Failstop: a robot for LeRobot that has LeKiwi's names and drives through a failstop service.
 
 It only sends commands. The service owns the motor port, limits the commands, and stops the wheels and the arm if this
-program dies or stops sending. Numbers have LeKiwi's units: m/s, deg/s, and -100 to 100 over a joint's calibrated range.
+program dies or stops sending. Numbers have LeKiwi's units: m/s and deg/s for the base, 0 to 100 for the gripper, and
+degrees or -100 to 100 for the other joints (option `use_degrees`).
 """
 
 from __future__ import annotations
@@ -89,8 +90,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return all(f"arm_{joint}" in self.calibration for joint in self.config.joints)
 
     def calibrate(self) -> None:
-        """Raise RuntimeError, which says what to do. This robot can't calibrate, because the service owns the port. It
-        only reads a calibration that LeRobot has made."""
+        """Raise RuntimeError with instructions. Only LeRobot's own `lekiwi` robot can calibrate, because the service
+        owns the port."""
         raise RuntimeError(
             "failstop takes a calibration over and makes none: stop the service, calibrate by `lerobot-calibrate"
             f" --robot.type=lekiwi --robot.id={self.id} --robot.port=PORT`, and start it again"
@@ -100,9 +101,9 @@ class Failstop(Robot):  # type: ignore[misc]
         """Do nothing, because failstop's settings configure the robot."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the service, read where the arm is, and open the cameras. Enables motion if the option `enable` is
-        set. Raises DeviceNotConnectedError without a service, or if the arm can't be read. Raises ValueError if the
-        calibration does not fit the settings."""
+        """Connect to the service, read where the arm is, and open the cameras. With the option `enable`, also enable
+        motion. Raises DeviceAlreadyConnectedError if it is connected, ValueError if the calibration does not fit the
+        settings, and DeviceNotConnectedError if no service runs, the arm can't be read, or motion can't be enabled."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
         with contextlib.ExitStack() as undo:
@@ -123,7 +124,8 @@ class Failstop(Robot):  # type: ignore[misc]
             logger.info("%s has no calibration file: its joints' ranges are those of failstop's settings", self)
 
     def _scaled(self, service: Service) -> dict[str, Scale]:
-        """For each of LeRobot's joints, the scale that converts its numbers."""
+        """Return the scale that converts the numbers of each LeRobot joint. Raises ValueError if the joints or the
+        calibration don't fit failstop's settings."""
         declared = service.arm.joints if self.config.joints else {}
         found = {}
         for name, of_settings in self.config.joints.items():
@@ -146,7 +148,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def _read_arm(self, service: Service) -> None:
-        """Let the service read the arm, if the position of any joint is not known."""
+        """Let the service read the arm, unless the position of every joint is known. Raises DeviceNotConnectedError if
+        the service refuses."""
         arm = service.state.arm
         if self._scales and (arm is None or any(joint.at_rad is None for joint in arm.joints.values())):
             try:
@@ -163,8 +166,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return self._service
 
     def get_observation(self) -> dict[str, Any]:
-        """The position of each joint, the velocity that the service commands, and an image of each camera. Raises
-        DeviceNotConnectedError if the service has ended."""
+        """Return each joint's position, the velocity that the service commands, and an image from each camera. Raises
+        DeviceNotConnectedError if the service has ended, or if a joint was not read yet."""
         service = self._connected()
         try:
             state = service.state
@@ -179,8 +182,8 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def _joints(self, state: State) -> list[tuple[str, Scale, float]]:
-        """The angle of each joint, rad. This is the last reading if it is fresh, and otherwise the angle to which the
-        joint was sent."""
+        """Return (name, scale, angle in rad) of each joint. The angle is the last reading if that is fresh, otherwise
+        the commanded angle. Raises DeviceNotConnectedError if a joint was not read yet."""
         found = []
         for name, scale in self._scales.items():
             joint = state.arm.joints.get(self.config.joints[name]) if state.arm else None
@@ -195,8 +198,8 @@ class Failstop(Robot):  # type: ignore[misc]
         """Send an action to the service. Returns the action as it was sent, with joints limited to the settings' range.
         If an action has only some of the velocities, the others are zero.
 
-        Raises RobotStopped if a stop is latched (option `after_stop`), ValueError for a number that is not finite or a
-        name that LeKiwi does not have, and DeviceNotConnectedError if the service has ended.
+        Raises RobotStopped if a stop is latched and `after_stop` is `raise`. Raises ValueError for a number that is not
+        finite, or for a name that LeKiwi does not have. Raises DeviceNotConnectedError if the service has ended.
         """
         service = self._connected()
         if unknown := sorted(set(action) - set(self.action_features)):
@@ -227,7 +230,7 @@ class Failstop(Robot):  # type: ignore[misc]
             raise RobotStopped(str(service.why()))
 
     def _tell(self, part: str, why: str) -> None:
-        """Log why the wheels or the arm stand still, if the reason has changed."""
+        """Log why the wheels or the arm don't move, if the reason has changed."""
         if why != self._told[part]:
             self._told[part] = why
             if why:
@@ -244,12 +247,13 @@ class Failstop(Robot):  # type: ignore[misc]
         arm.release()
 
     def release(self) -> None:
-        """Switch the arm's torque off where the arm is, so that it falls. Raises Refused while motion is enabled."""
+        """Switch the arm's torque off where the arm is, so that it falls. Raises Refused while a stop is latched, and
+        on some boards while motion is enabled."""
         self._connected().arm.release()
 
     def disconnect(self) -> None:
-        """Disconnect from the service. The wheels stop, motion is disabled if this robot enabled it, and the arm is
-        held, parked or released (option `at_end`)."""
+        """Disconnect from the service. The wheels stop, and motion is disabled if this robot enabled it. The option
+        `at_end` says whether the arm is held, parked or released."""
         service = self._connected()
         ends: dict[str, Callable[[], None]] = {"park": self.park, "release": self.release}
         try:

@@ -1,10 +1,8 @@
 """Units: converts between failstop's angles and LeRobot's numbers for a joint. Pure.
 
-Both sides know the positions of a joint's servo. A calibration file of LeRobot has the ends of the joint's range as
-positions, and so have failstop's settings (low and high). So an angle is first converted to a position, by
-Joint.pulses. Then the position is converted to a number, by the rule of LeRobot's own motor bus for this calibration.
-The way back uses Joint.rad. As a result, another soft limit in the settings does not change the numbers, nor a policy
-that was trained on them.
+The servo's position connects the two. Joint.pulses and Joint.rad convert angles. The rule of LeRobot's own motor bus
+converts numbers over the calibrated range. With a calibration, the numbers don't depend on the soft limits in
+failstop's settings (low and high), so a trained policy still works after these limits change.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ class Joint(Protocol):
         """The angle at this position of the servo."""
 
     def turned(self, angle_rad: float) -> float:
-        """How far the servo's position changes if the angle changes by `angle_rad`."""
+        """The change of the servo's position if the angle changes by `angle_rad`."""
 
     def range_rad(self) -> tuple[float, float]:
         """The angles to which the joint may be sent: (smallest, largest)."""

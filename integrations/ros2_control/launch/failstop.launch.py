@@ -1,8 +1,8 @@
 """Starts a controller manager that drives through failstop: `ros2 launch failstop_ros2_control failstop.launch.py
 base:=diff`.
 
-It does not start failstop's service. systemd starts that, so the service stops the robot even if the controller manager
-fails. A controller manager that has died is restarted, but it moves nothing until somebody enables motion.
+Let systemd start failstop's service, because the service must stop the robot even if the controller manager fails. A
+controller manager that dies is restarted, but nothing moves until somebody enables motion.
 """
 
 from __future__ import annotations

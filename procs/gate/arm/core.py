@@ -1,11 +1,11 @@
-"""The gate's decisions about the arm. Pure: the time and everything that has happened are arguments; frames for the
-servos and texts are results.
+"""The gate's decisions about the arm. Pure: takes the time and all events as arguments, and returns frames and texts.
 
-While a stop is latched, the arm does not move. While motion of the wheels is enabled, it moves only if the board can
-move arm and wheels together. A stop takes the arm from the client that moves it, and normally an enable does so too
-(see Arm.enable()). A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that
-lasts about one period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a
-few servos. If a joint was stopped on its way to a goal, its position is read before the joint moves again.
+While a stop is latched, the arm does not move. While motion of the wheels is enabled, the arm moves only if the board
+can move arm and wheels together. A stop ends every movement. Enabling motion usually does too (see Arm.enable()).
+
+A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that lasts about one
+period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a few servos. If a
+joint was stopped on its way to a goal, its position is read before the joint moves again.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Return the name of a client, other than the one with the session `session`, whose goal or trajectory counts
-        at the moment. Empty if there is no such client."""
+        """Return the name of another client than `session` whose goal or trajectory counts now. Empty if there is no
+        such client."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
@@ -100,8 +100,8 @@ class ArmCore:
         return now_ns - goal.t_ns <= self._timeout_ns
 
     def accept(self, goal: Goal, closed: str, now_ns: int) -> None:
-        """Accept a goal of a stream, or set `refused` to the reason why not. The caller must have checked that no other
-        program sends goals. `closed`: why the arm accepts no goals at the moment; empty if it accepts them."""
+        """Accept a goal of a stream, or set `refused` to the reason why not. Call it only if no other program sends
+        goals. `closed`: why the arm accepts no goals now, or an empty text."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
         self.refused = self._shut(goal, closed) or check(goal.ends)
@@ -118,9 +118,9 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Return why this goal of a stream does not count now, or an empty text if it counts. A client may go on
-        sending goals while a stop is latched and then reset. The reset must not move the arm, so the client's goals
-        count again only after a pause. For example, a person who holds a key must first let go of it."""
+        """Return why this goal of a stream does not count now, or an empty text if it counts. A reset must not move the
+        arm. So after a stop, a client that never stopped sending goals must pause first, for example by letting go of a
+        key."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -131,8 +131,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. If another client moved the arm until now, that movement ends, and `why` is the reason
-        that the other client gets. Returns True if a stop must be written because the arm may still be moving."""
+        """Begin a trajectory. It ends any other movement, and `why` is the reason that the other client gets. Returns
+        True if a stop must be written because the arm may still be moving."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -143,8 +143,8 @@ class ArmCore:
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """Return a trajectory to the drive pose or to the tuck pose (`purpose`), for execute(), or None if the settings
-        give no joint a position in this pose."""
+        """Return a trajectory to the pose `purpose` (drive or tuck), for execute(). None if the settings have no such
+        pose."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -153,7 +153,7 @@ class ArmCore:
 
     def drop(self, why: str, cause: Cause | None = None) -> bool:
         """Forget all goals. Returns True if a stop must be written because the arm may still be moving. `why`: the
-        reason that the client gets for its ended trajectory. `cause`: the cause of a latched stop, or None."""
+        reason for the client whose trajectory ends. `cause`: the cause of a latched stop, or None."""
         was = self.streaming()
         if trajectory := self.trajectory:
             trajectory.finish(why, dropped=True)
@@ -163,10 +163,9 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Forget all goals, like drop(). The caller must write a stop in any case, because a servo may still complete a
-        move whose goal was forgotten earlier. If the arm follows a stream of goals, its goals count again only after a
-        pause, unless they come from the session `but`. If release() has not switched off the torque of every servo yet,
-        the remaining servos keep their torque."""
+        """Forget all goals, like drop(). The caller must always write a stop, because a servo may still complete an
+        earlier move. The client of a dropped stream must pause before its goals count again, unless its session is
+        `but`. Servos that release() has not switched off yet keep their torque."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -193,13 +192,13 @@ class ArmCore:
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     def streaming(self) -> bool:
-        """Return True while a servo may be moving."""
+        """Return True while joints get moves. Afterwards, a servo may still complete its last move."""
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
-        """Do the next piece of the arm's work, such as a move or a question to a servo. Returns (frame, hold). `frame`
-        must be sent now, or is empty. If `hold` is True, the arm must be stopped first, for example because a goal was
-        not renewed. Each call returns at most one frame, so a stop never has to wait long behind the arm's frames."""
+        """Do the next piece of the arm's work, such as a move or a question to a servo. Returns (frame, hold). If
+        `hold` is True, first stop the arm. Then send `frame`, unless it is empty. Each call returns at most one frame,
+        so a stop never has to wait long behind the arm's frames."""
         found = self._go_on(now_ns)
         self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
         return found
@@ -229,9 +228,9 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """If joints have not reached the last goals of an ended stream, return a frame that stops them, by commanding
-        each of them to its measured position. Otherwise return an empty frame. If one frame has no room for all joints,
-        the next calls return the rest before any servo is read, because nothing can be read while a joint moves."""
+        """Return a frame that stops joints of an ended stream on their way to their last goals, or an empty frame. The
+        frame commands each of these joints to its measured position. If one frame has no room for all joints, the next
+        calls return the rest. Servos are read only after that, because nothing can be read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -311,16 +310,16 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Finish the trajectory once all of its joints have been read since they stopped. It succeeds if the joints are
-        where they must be. Returns the joints that must still be read."""
+        """Finish the trajectory once all of its joints were read after they stopped. It fails if one is not where it
+        must be. Returns the joints that must still be read."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """Return a text that names a joint whose last reading is too far from its position in `ends`, and says how far.
-        Empty if all joints are in place."""
+        """Return a text about the first joint that was read too far from its position in `ends`. Empty if all joints
+        are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -328,8 +327,8 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """Return a frame that switches on the torque of the first of these joints whose torque may be off. Empty if the
-        servos' bus is not free yet."""
+        """Return a frame that switches on the torque of the next of these joints, or an empty frame if the servos' bus
+        is not free yet."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -344,8 +343,8 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Give each of these joints a move in every period from now on. But if the arm has a trajectory that can't
-        begin at their present positions, end the trajectory as failed, and move nothing."""
+        """Give each of these joints a move in every period from now on. If the trajectory can't begin at their present
+        positions, end it as failed instead."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -355,9 +354,9 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """Return the moves that are due, as (frame, hold) like step(). If the arm would hit something while it follows
-        a trajectory, the trajectory ends, and the returned `hold` is True. If it would hit something while it follows a
-        goal of a stream, the goal is kept, but the arm waits where it is. Otherwise `hold` is returned unchanged."""
+        """Return the moves that are due, as (frame, hold) like step(). If the arm would hit something, a trajectory
+        ends, and the returned `hold` is True. A goal of a stream is kept instead, and the arm waits where it is.
+        Otherwise `hold` is returned unchanged."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -403,8 +402,8 @@ class ArmCore:
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """Return these joints, which must be read before the trajectory can continue. If they could not be read for
-    FIND_NS, the trajectory fails."""
+    """Return these joints, which must be read before the trajectory can continue. After FIND_NS, the trajectory
+    fails."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

@@ -1,8 +1,8 @@
 """Goals: what clients want the arm to do. Pure.
 
 A trajectory has an end. When it is over, the joints' positions are read, to check that the arm has arrived. In the
-modes follow and jog, a client sends a stream of goals that it must renew. The newest goal of a stream counts until it
-is older than arm.goal_timeout_s, but not while there is a trajectory.
+modes follow and jog, a client sends a stream of goals. The newest goal counts until it is older than
+arm.goal_timeout_s. While there is a trajectory, goals of a stream don't count.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ Waypoint = tuple[float, dict[Joint, float]]
 
 
 class Goal(Data):
-    """A goal of a stream. In the mode follow, `ends` is a position for each joint, in pulses. In the mode jog, it is a
-    rate for each joint, in pulses/s. Before ArmCore.accept() has accepted the goal, both are in rad instead of
-    pulses."""
+    """A goal of a stream. `ends`: for each joint, a position in pulses (mode follow) or a rate in pulses/s (mode jog).
+    Until ArmCore.accept() has accepted the goal, the unit is rad instead of pulses."""
 
     mode: str
     session: int
@@ -46,23 +45,22 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """Return the position of each joint in the mode follow, or the rate of each joint in the mode jog. The result
-        does not depend on the time."""
+        """Return `ends`, which do not depend on the time."""
         return self.ends
 
 
 class Trajectory:
-    """A movement to a pose or along a client's path, as positions of joints over time. At the end, the joints'
-    positions are read, to check that the arm has arrived."""
+    """A movement to a pose or along a client's path. At the end, the joints' positions are read, to check that the arm
+    has arrived."""
 
     mode = TRAJECTORY
 
     def __init__(
         self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Waypoint], share: float = 1.0
     ) -> None:
-        """`rows`: the positions that the joints must have, each with its time. The start is not included, because the
-        start positions are read from the servos. If the first row has the time 0, the joints go there as fast as
-        `share` allows. `share`: how much of its top speed each joint may use, from 0 to 1."""
+        """`rows`: the positions of the joints, each with its time. Leave out the start, because it is read from the
+        servos. If the first row has the time 0, the joints go there as fast as `share` allows. `share`: how much of its
+        top speed each joint may use, from 0 to 1."""
         self.purpose = purpose
         self.session = session
         self.who = who
@@ -124,8 +122,7 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """Return a text that names a joint whose rate (rad/s) is too high, with the highest allowed rate, or an empty text
-    if all rates are allowed."""
+    """Return a text about the first joint whose rate (rad/s) is too high, or an empty text if all rates are allowed."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -134,8 +131,8 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """Return a text that names a joint which would have to turn too fast between two rows of a trajectory, or two rows
-    whose times are in the wrong order. Empty if nothing is wrong."""
+    """Return a text if a joint would have to turn too fast between two rows, or if the times don't increase. Otherwise
+    return an empty text."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -1,9 +1,8 @@
 """Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
-The firmware does not match answers with questions. If the answer to one question comes late, the firmware returns it as
-the answer to the next question. The question after that gets the value 0, as if a servo had answered. So the reader
-ignores the first answer after an unanswered question. It believes a position only if two readings in a row agree. It
-believes the value 0 only if the question was about the torque.
+The firmware does not match answers with questions. It returns a late answer as the answer to the next question. The
+question after that gets the value 0, as if a servo had answered. So the reader ignores the first answer after an
+unanswered question. It believes a position only if two readings in a row agree, and the value 0 only for the torque.
 """
 
 from __future__ import annotations
@@ -52,7 +51,8 @@ class ServoReader:
         """The earliest time, in ns, for the next question about the joints that are moving."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """Return the moving joints that must be asked for their positions now. Empty if it is too early to ask."""
+        """Return the next few joints to ask for their positions while the arm moves. Empty if it is too early to
+        ask."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -60,13 +60,14 @@ class ServoReader:
         return self._joints[at : at + LOOKED]
 
     def seen(self, servo: int, value: int, t_ns: int) -> None:
-        """Record the position of a moving joint. One reading is enough, because no command depends on it."""
+        """Record the position of a joint while the arm moves. One reading is enough, because no command depends on
+        it."""
         for joint in self._joints:
             if joint.servo == servo:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """Record that a servo was moved. From now on no question is asked until the servo has certainly stopped."""
+        """Record that a servo was moved. ask() then waits until the servo has certainly stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
@@ -95,16 +96,15 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """Return the question to ask while nobody waits for an answer, as (joint, kind of value). The reader asks a
-        joint for its position twice in a row, and then for its temperature, torque or supply voltage. After that it
-        asks the next joint."""
+        """Return the next question while nobody waits for an answer, as (joint, kind of value). Each joint in turn is
+        asked twice for its position, and then for its temperature, torque or supply voltage."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """Somebody waits for positions from now on: end the long pause (IDLE_NS), so that the next question can be
-        asked as soon as the receiver is free."""
+        """End the long pause (IDLE_NS), because somebody waits for positions now. The next question may be asked as
+        soon as the receiver is free."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 

@@ -78,7 +78,7 @@ class Arm:
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
         """Handle the servos' answers and the gamepad. Returns the cause to stop for, or None. `closed`, here and in
-        other methods: why the arm accepts no goal at the moment; empty if it accepts one."""
+        other methods: why the arm accepts no goal now, or an empty text."""
         while entry := self._answers.next():
             self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         return self._hear_pad(closed, now_ns)
@@ -98,8 +98,8 @@ class Arm:
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
-        """Record the arm's goal in the black box when the mode or the moving program has changed. While the arm follows
-        a goal, the goal is also recorded ten times per second."""
+        """Record the arm's goal in the black box when the mode or the moving program changes, and ten times per second
+        while the arm follows a goal."""
         followed = self.core.followed
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
@@ -108,8 +108,8 @@ class Arm:
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def client_gone(self, session: int, now_ns: int) -> None:
-        """Handle a client that has left or died. If the arm moves for this client, stop it. That includes the movement
-        to the drive pose that begins when this client wants motion enabled."""
+        """Handle a client that has left or died. If the arm moves for this client, stop it, even on the way to the
+        drive pose for an enable."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
@@ -132,9 +132,8 @@ class Arm:
         return self._accept(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """Accept a goal. Returns the cause to stop for if two programs send goals at the same time, otherwise None. A
-        goal that the arm refuses is not kept, so it does not count as sent at the same time as a later goal of another
-        program."""
+        """Accept a goal. Returns the cause to stop for if another program sends goals too, otherwise None. A refused
+        goal is not kept, so it never conflicts with another program's goal."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.accept(goal, closed, now_ns)
@@ -145,8 +144,8 @@ class Arm:
         return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
     def _hear_pad(self, closed: str, now_ns: int) -> Cause | None:
-        """Handle the gamepad in its joint mode, like any other program that sends goals. When its stick is let go, the
-        joint stops."""
+        """Handle the gamepad's joint mode like any program that sends goals. The joint stops when the stick is let
+        go."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
             return None
@@ -218,9 +217,9 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Report the progress to the client that waits for a trajectory, and the result at the end. But if the client
-        wants motion enabled and the arm has reached its drive pose, return the client's request. The caller must then
-        enable motion and reply to the client. Returns None in all other cases."""
+        """Report the progress and the result to the client that waits for a trajectory. If the client wants motion
+        enabled and the arm has reached its drive pose, return its request. The caller must then enable motion and
+        reply. Otherwise return None."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -246,8 +245,8 @@ class Arm:
         """Send the arm to its drive pose, because a client wants motion enabled. Returns the client's first reply: the
         progress or a refusal. When the arm has arrived, answer_waiter() returns the client's request.
 
-        If the settings have no drive pose, motion may be enabled at once, so this returns None. The arm then stops
-        where it is, or, if the board can move arm and wheels together, continues its movement.
+        Returns None if the settings have no drive pose. Motion may then be enabled at once. The arm stops where it is,
+        unless the board can move arm and wheels together.
         """
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
@@ -265,9 +264,8 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """After the trajectory to the drive pose has ended, return the reason why motion can't be enabled, or an empty
-        text if it can. This judges the joints' measured positions. Without any servo of the drive pose, the setting
-        arm.absent decides."""
+        """Return why motion can't be enabled after the trajectory to the drive pose, or an empty text if it can. This
+        judges the joints' measured positions. If no servo of the drive pose answers, the setting arm.absent decides."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
@@ -276,8 +274,8 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck the arm if nobody has used it for a while. This time counts from the last moment at which
-        the arm followed a goal or accepted no goals."""
+        """Tuck the arm if nobody has used it for a while. The time counts from when the arm last followed a goal or
+        accepted no goals."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
@@ -310,7 +308,7 @@ class Arm:
         self._notes.append(Note("arm", text, level=level))
 
     def _report_joints(self) -> None:
-        """Report each fault of a servo once when it begins, and once when it is over."""
+        """Report each fault of a servo when it begins, and again when it is over."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:

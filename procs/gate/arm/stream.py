@@ -23,8 +23,8 @@ might have to wait too long behind both."""
 class Space:
     """Checks whether the arm would hit something if its joints moved to their next positions.
 
-    The end of each move is checked before the move is sent. So a servo that gets no further move stops at a position
-    that was checked. If parts of the arm touch already, according to the model, they may move apart.
+    The end of each move is checked before the move is sent, so a servo that gets no further move stops at a checked
+    position. Parts of the arm that touch already, according to the model, may move apart.
     """
 
     def __init__(self, settings: Settings, joints: list[Joint]) -> None:
@@ -34,19 +34,18 @@ class Space:
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Return the joints whose positions must be known before `joints` move. If collisions are checked, these are
-        all joints. But a joint that does not answer and is not in `joints` is left out, and counts as being where it
-        was last."""
+        """Return the joints whose positions must be known before `joints` move. With collision checks these are all
+        joints, except silent ones that are not in `joints`. A silent joint counts as being at its last position."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
-        """Begin a movement from the joints' present positions. If parts of the arm touch already at these positions,
-        only a move that brings them closer counts as a hit."""
+        """Begin a movement from the joints' present positions. Parts of the arm that touch there may move apart, but
+        not closer."""
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """Return a text about what the arm would hit at its joints' next positions. If it would hit nothing, return an
-        empty text, and take the next positions as the present ones."""
+        """Return a text about what the arm would hit at its joints' next positions, or an empty text. If it would hit
+        nothing, the next positions become the present ones."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -111,9 +110,9 @@ class Stream:
         self._schedule = []
 
     def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
-        """Make the next moves toward the followed goal, for the group of joints that is due. Returns (frame, hit).
-        `frame` has these moves. If the arm would hit something, `hit` names it, and the moves keep the joints where
-        they are. Otherwise `hit` is empty."""
+        """Return (frame, hit) for the group of joints that is due. `frame` has their next moves toward the followed
+        goal. If the arm would hit something, `hit` names it, and the moves keep the joints where they are. Otherwise
+        `hit` is empty."""
         due_ns, group = self._schedule[0]
         self._apart_ns = now_ns + MOVES_APART_NS
         # Count from the time when the move was due. Then a late wake-up delays one frame, but not all later ones.

@@ -1,4 +1,4 @@
-"""The ROS package: an executable and a launch file for the bridge, which itself is a part of failstop."""
+"""The ROS package: an executable and a launch file for the bridge. The bridge itself is part of failstop."""
 
 from setuptools import setup
 

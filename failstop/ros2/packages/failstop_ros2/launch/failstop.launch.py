@@ -1,7 +1,7 @@
 """Starts the bridge, and publishes where the laser and the IMU are on the robot: `ros2 launch failstop_ros2
 failstop.launch.py`.
 
-It does not start failstop's service. systemd starts that, without ROS, so the service stops the robot even if this
+This file does not start failstop's service. systemd starts the service without ROS, so the service runs even if this
 launch fails.
 """
 
@@ -37,8 +37,8 @@ PARAMETERS = {
     "base_frame_id": ("base_link", "child frame of wheel/odom"),
     "imu_frame_id": ("imu_link", "frame of imu/data_raw"),
 }
-"""The parameters of the bridge, each with its default and its description. A parameter that is not given as an argument
-has its value in params_file, or this default."""
+"""The bridge's parameters, each with its default and its description. A launch argument overrides params_file, and
+params_file overrides the default."""
 
 INCOMPLETE = 78
 """The exit code of a bridge that can't run because ROS or a package that it needs is missing. It also logs what is
@@ -46,14 +46,14 @@ missing."""
 
 
 def _ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
-    """Don't restart a bridge that can't run as it is installed, because it would only fail again each second."""
+    """Don't restart a bridge that has exited with INCOMPLETE, because it would fail again each second."""
     if event.returncode != INCOMPLETE:
         return None
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
 def _argument(context: LaunchContext, name: str) -> str:
-    """The value of an argument of this launch. If it is a parameter of the bridge that was not given, its default."""
+    """The value of a launch argument. If no value is given, the default in PARAMETERS, or "" for other arguments."""
     given: str = LaunchConfiguration(name).perform(context)
     return given or (PARAMETERS[name][0] if name in PARAMETERS else "")
 
@@ -74,8 +74,7 @@ def _placed(context: LaunchContext, frame: str, prefix: str) -> Node:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    """The nodes to start: the bridge, and the static transforms. The arguments override the parameters in
-    params_file."""
+    """The nodes to start: the bridge, and the static transforms. Launch arguments override params_file."""
     file = _argument(context, "params_file")
     given = {name: LaunchConfiguration(name) for name in PARAMETERS if LaunchConfiguration(name).perform(context)}
     bridge = Node(

@@ -19,7 +19,7 @@ NOBODY = "failstop-launch-test"
 
 @pytest.mark.launch_test
 def generate_test_description() -> LaunchDescription:
-    """Run the launch file with its example of a parameter file, for a service that is not running."""
+    """Run the launch file with the example parameter file, for a service that is not running."""
     arguments = {"name": NOBODY, "params_file": f"{SHARE}/config/bridge.yaml", "node": "base_driver"}
     source = PythonLaunchDescriptionSource(f"{SHARE}/launch/failstop.launch.py")
     return LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments.items()), ReadyToTest()])
