@@ -75,9 +75,9 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Duplicate the descriptor of the file, so that the caller may close `fd` at any time. Otherwise a thread that
-        is about to hold this futex could write to a different file that has got the number of `fd`. Call this at most
-        once. Raises OSError."""
+        """Duplicate the descriptor of the file, so that the caller may close `fd` at any time. Without the duplicate,
+        another file could get the number of the closed `fd`, and a thread that is about to hold this futex would write
+        to that file. Call this at most once. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 
@@ -88,9 +88,9 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the kernel report the death of the calling thread in `lines` lines, beginning with this futex. Keep the
-        returned object until the thread ends or calls let_go(), because the kernel uses its memory. Returns None if the
-        kernel can't report deaths. Raises OSError."""
+        """When the calling thread dies, let the kernel mark this in `lines` cache lines of memory. The first one holds
+        this futex, and the others follow it. Keep the returned object until the thread ends or calls let_go(), because
+        the kernel uses its memory. Returns None if the kernel can't report deaths. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]

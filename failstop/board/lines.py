@@ -42,8 +42,8 @@ class LineReader(Reader):
     """Makes samples from the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples` makes the samples of one line. Of a longer incomplete line, only the last `longest` bytes are
-        kept."""
+        """`samples` makes the samples of one line. If an incomplete line gets longer than `longest` bytes, only its
+        last `longest` bytes are kept."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

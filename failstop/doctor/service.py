@@ -48,8 +48,8 @@ def settings(look: Look) -> list[Finding]:
 
 
 def _others(look: Look) -> list[str]:
-    """The keys of the settings in which the running service differs from the file. Two keys are left out: a lease may
-    follow from the service's rights, and the port from an option."""
+    """The keys of the settings in which the running service differs from the file. Two keys are left out, because they
+    may differ without a fault: the service's rights may change the lease, and an option may set the port."""
     found = look.settings[1].flat()
     return [
         key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value

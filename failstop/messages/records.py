@@ -104,7 +104,7 @@ class Shape:
 
     @property
     def form(self) -> str:
-        """The fixed numbers in the notation of `struct`."""
+        """The `struct` format of the fields that have a fixed size."""
         return self._numbers.format
 
     def _pack_with_tail(self, *values: Any) -> bytes:

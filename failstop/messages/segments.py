@@ -181,9 +181,9 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
     `incarnation`: the expected run; None to accept any. `owner`: the uid of the service; -1 for this process's user.
     Raises AttachError.
 
-    Several processes may write the segments of clients and `lifelines`, so these are accessed through their files. All
-    other segments are mapped into memory. If somebody truncated a mapped file, the kernel would kill the process that
-    has mapped it (SIGBUS).
+    Most segments are mapped into memory. If somebody truncates a mapped file, the kernel kills each process that has
+    mapped it (SIGBUS). Therefore the segments that clients may write (their own, and `lifelines`) are not mapped, but
+    accessed through their files.
     """
     spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)

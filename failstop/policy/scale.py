@@ -71,8 +71,8 @@ def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
     """A remark for people if the wheels' measured speed differs from the commanded speed, with possible harmless
-    reasons. Empty if the difference is small. `ratio`: measured divided by commanded. `per_rps`: the present value, in
-    the board's unit."""
+    reasons. Empty if the difference is small. `ratio`: measured divided by commanded. `per_rps`: the present value of
+    the setting board.per_rps."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"

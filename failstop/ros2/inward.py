@@ -234,7 +234,7 @@ class Inward:
         self._latch(reason(causes.ROS_NOT_FINITE, who))
 
     def _late(self, message: Any) -> str:
-        """Why a command is refused because it is too old. Empty if it is accepted."""
+        """If the command is too old, return the reason for refusing it. Empty if it is not too old."""
         late_ns = self._lag.late_ns(self._commanders.publishers, self._sent_ns, self._received_ns or time_ns())
         if late_ns > self._timeout_s * 1e9:
             return words.repaired(late_ns / 1e9)

@@ -44,8 +44,8 @@ class ScanWatch:
 
 
 class ScanLog:
-    """Makes two log lines of an earlier driver: one when a missing scan stops the wheels, and one when the scan is
-    back."""
+    """Writes two log lines: one when a missing scan stops the wheels, and one when the scan is back. The words are
+    those of the ROSOrin's own driver, because people may search logs for them."""
 
     def __init__(self, now_ns: int) -> None:
         self._begun_ns = now_ns

@@ -36,9 +36,9 @@ class Spinner:
     """Calls the callbacks of one node, from one thread."""
 
     def __init__(self, node: Any, received: Callable[[int, int], None]) -> None:
-        """`received(received_ns, sent_ns)` is called before each callback, with the two times of its message (wall
-        clock, ns), and with zeros after it. Zeros mean that the times are not known, as in callbacks that rclpy's
-        executor calls."""
+        """`received(received_ns, sent_ns)` is called twice for each message: before its callback with the two times of
+        the message (wall clock, ns), and after it with zeros. It is not called for the callbacks that rclpy's executor
+        runs, so their times are not known."""
         from rclpy.executors import SingleThreadedExecutor
 
         self._node = node

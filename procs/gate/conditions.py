@@ -97,8 +97,8 @@ class Attendance:
         """The operator whose presence ended last, and how it ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """Record that an operator was present at `t_ns`. Ignores a proof that is older than the lease or than the
-        operator's previous proof. If the session names a new operator, the previous one has left."""
+        """Record that an operator was present at `t_ns`. Does nothing if `t_ns` is longer ago than the lease, or before
+        the operator's previous proof. If the session names a new operator, the previous one has left."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:

@@ -252,8 +252,8 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop once if the port does not drain. Call it before anything new is written, because new bytes have not had
-        time to drain."""
+        """If the port does not drain, stop the robot, but only the first time that this is noticed. Call it before
+        anything new is written, because new bytes have not had time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())

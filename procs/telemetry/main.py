@@ -86,8 +86,8 @@ class GateState:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Read the gate's state. Returns True if it is new. If the gate has been silent for more than HANG_NS, motion
-        counts as disabled and zero as commanded, which is a new state too."""
+        """Read the gate's state. Returns True if it is new. If the gate has been silent for more than HANG_NS, the
+        state becomes: motion is disabled, and nothing is commanded. This counts as a new state too."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:

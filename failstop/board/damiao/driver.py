@@ -87,8 +87,8 @@ class DamiaoDriver:
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Store the motors' reports, which answer the driver's next frames. Returns the motors' answers about registers
-        that the driver has asked for."""
+        """Store the motors' reports. The driver's next frames are answered from this store. Returns the motors' answers
+        about registers that the driver has asked for."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):
             if can_id >= codec.SPEED_ID:

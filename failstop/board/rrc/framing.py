@@ -55,9 +55,9 @@ def seal(func: int, data: bytes) -> bytes:
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
     """Return how many bytes of data come before the first dangerous cut in this frame, or 0 if no cut is dangerous. A
-    cut is dangerous if the CRC of the bytes before it is zero. Zeros after the cut leave this CRC at zero, so the last
-    zero passes as the right CRC and completes the frame. Cuts after fewer than `least` bytes of data (1 or more) don't
-    count."""
+    cut is a place where the frame breaks off, and zeros follow. It is dangerous if the CRC of the bytes before it is
+    zero. The CRC then stays zero over the zeros, so the board takes one of them for the right CRC, and obeys the
+    frame. Cuts with fewer than `least` bytes of data before them are ignored. `least` must be 1 or more."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

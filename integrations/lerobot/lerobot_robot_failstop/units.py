@@ -50,7 +50,7 @@ class Reach(NamedTuple):
 
 
 def number(position: float, reach: Reach, unit: Unit, turn: float) -> float:
-    """The number for a position. `turn`: how many positions make a whole turn."""
+    """Convert a servo's position to LeRobot's number in this unit. `turn`: how many positions make a whole turn."""
     low, high, inverted = reach
     if unit is Unit.DEGREES:
         return (position - (low + high) / 2) * 360 / (turn - 1)
