@@ -80,7 +80,7 @@ ROWS = {
     "fresh": Row("installed, demo, own program, prove", ("fresh", "ON=12 13 testing"), ""),
     "folder": Row("installed, demo, own program, prove", ("fresh", "ON=12-folder 13-folder testing-folder"), ""),
     "c": Row("C program driving, killed", ("fresh", "ON=c"), ""),
-    "arm64": Row("installed, demo, own program", ("fresh", "ON=arm64 arm64-pip"), ""),
+    "arm64": Row("installed, own program", ("fresh", "ON=arm64 arm64-pip"), ""),
     "reproduce": Row("a release built twice", ("reproduce",), f'"$BIN"/python -c "{ASK}"'),
     "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),

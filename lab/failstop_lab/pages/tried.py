@@ -18,11 +18,13 @@ Each row says what the run printed, on which day and at which commit. A + means 
 commit. The conditions are how long the run took, the load of the machine at its end, and its steal, which is the share
 of the processors' time that the host took away.
 
-An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column. On one machine
-failstop started there, drove, and stopped the wheels of a killed program. On another one, which is half as fast, the
-demo's service was not ready within 10 s. An emulated system is about twenty times slower, its order of memory is the
-machine's, and qemu passes on no death through a robust futex. So these rows say that the packages fit, and nothing
-about times.
+An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column, about twenty times
+slower. What works there: the packages install, the service starts, a program drives, and the wheels stop when it is
+killed; the simulated board is outside of the emulation. What does not work: `failstop demo` on a slow machine, because
+it fails each stop that takes longer than 50 ms; real-time rights, because the first turn of a process takes longer than
+the 100 ms after which the kernel kills it; boards with more than 460800 baud, which qemu 7.2 can't set; and the early
+report of a death, which qemu does not pass on. Its order of memory is the machine's. So these rows say that the
+packages fit, and nothing about times.
 
 | what | with | on | result | conditions | when, at which commit | again |
 |---|---|---|---|---|---|---|
