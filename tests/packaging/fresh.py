@@ -92,7 +92,8 @@ import time
 from failstop import FailstopError, Robot
 from failstop_lab.faults.table import DRIVER_HAS_DIED
 
-KIND, LIMIT_S = sys.argv[1], float(sys.argv[2])
+KIND, FOLDER, LIMIT_S = sys.argv[1], sys.argv[2], float(sys.argv[3])
+SETTINGS = FOLDER + "/own.toml"
 STRIKES = 3
 DRIVE = """
 import time
@@ -133,18 +134,18 @@ def drives(robot):
     return state.moving and state.turning.does == "turning"
 
 
-with open("/run/own.toml", "w") as file:
+with open(SETTINGS, "w") as file:
     file.write(f'board.kind = "{KIND}"\\n')
 # At real-time priority the kernel would kill a process for its first turn, which is emulated and so takes too long.
-run = ["setpriv", "--bounding-set=-sys_nice", "failstop", "run", "--config", "/run/own.toml"]
-service = subprocess.Popen([*run, "--device", "/packages/board"])
+run = ["setpriv", "--bounding-set=-sys_nice", "failstop", "run", "--config", SETTINGS]
+service = subprocess.Popen([*run, "--device", FOLDER + "/board"])
 reached("the service is not ready", ready)
 print("the service is ready", flush=True)
 for strike in range(STRIKES):
     program = subprocess.Popen([sys.executable, "-c", DRIVE])
     with Robot() as robot:
         reached(f"the wheels don't turn: {robot.why()}", lambda: drives(robot))
-        with open("/packages/killed", "w") as file:
+        with open(FOLDER + "/killed", "w") as file:
             file.write(str(time.monotonic_ns()))
         program.kill()
         program.wait()
@@ -160,7 +161,7 @@ assert service.wait(LIMIT_S) == 0, service.returncode
 '''
 EMULATED_USE = """
 echo "step: own program"
-timeout 600 $python /packages/own.py {kind} 120
+timeout 600 $python /packages/own.py {kind} /packages 120
 echo "step: the end"
 """
 EMULATED_KIND = "hoverboard"
