@@ -9,6 +9,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
+from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.cli import style
@@ -28,6 +29,7 @@ failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
+failstop chaos --count 100 --resume chaos.json  # the next 100 faults of it
 failstop chaos --board hoverboard       # on another board
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
@@ -55,6 +57,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         default=0,
         metavar="I",
         help="the number of the fault to begin with; if the service fails at a fault, that fault's number is printed",
+    )
+    add(
+        "--resume",
+        metavar="FILE",
+        help="go on with the campaign in this file, which --json wrote, and write the whole result to it",
     )
     add("--only", metavar="NAME,...", help="inject only these faults; * matches anything; --list prints the names")
     add_board(parser)
@@ -101,11 +108,13 @@ def main(arguments: Namespace) -> int:
             raise FailstopError("--from goes with --markdown")
         print(report.markdown(_read(arguments.source)), end="")
         return 0
-    check_json(arguments.json)
-    tally = _run(arguments, rows)
+    out = arguments.json or arguments.resume
+    before = _read(arguments.resume) if arguments.resume else None
+    check_json(out)
+    tally = _run(arguments, rows, before)
     result = tally.as_dict()
-    if arguments.json:
-        with open(arguments.json, "w", encoding="utf-8") as file:
+    if out:
+        with open(out, "w", encoding="utf-8") as file:
             json.dump(result, file, indent=1)
     print(report.markdown(result) if arguments.markdown else f"{tally.table()}\n\n{tally.summary()}", flush=True)
     print(f"{'interrupted; ' if tally.interrupted else ''}to repeat it: --seed {tally.seed}", file=sys.stderr)
@@ -126,6 +135,10 @@ def _check(arguments: Namespace) -> None:
         raise FailstopError(
             "--board goes with a simulated board; the kind of a real one (--device) is the setting board.kind"
         )
+    if arguments.resume is not None and (arguments.seed is not None or arguments.first or arguments.each is not None):
+        raise FailstopError(
+            "--resume goes with --count and --seconds; the seed and the first fault are those of the campaign"
+        )
     if arguments.each is not None and arguments.first:
         raise FailstopError("--first goes with --count and --seconds; --each injects every row from its beginning")
 
@@ -135,10 +148,10 @@ def _rows(only: str | None, board: str) -> tuple[Row, ...]:
     return tuple(matching(only, known, "no row {} in the fault table of this board; `failstop chaos --list` has them"))
 
 
-def _read(path: str) -> dict[str, object]:
+def _read(path: str) -> dict[str, Any]:
     try:
         with open(path, encoding="utf-8") as file:
-            found: dict[str, object] = json.load(file)
+            found: dict[str, Any] = json.load(file)
     except (OSError, ValueError) as error:
         raise FailstopError(f"{path} is not the result of a campaign: {error}; make one with --json {path}") from None
     return found
@@ -148,21 +161,29 @@ def _seed(arguments: Namespace) -> int:
     return arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
 
 
-def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
-    seed = _seed(arguments)
+def _run(arguments: Namespace, rows: tuple[Row, ...], before: dict[str, Any] | None) -> report.Tally:
+    seed = before.get("seed", 0) if before else _seed(arguments)
     tally = report.Tally(rows, seed, arguments.board)
+    if before:
+        try:
+            tally.resume(before)
+        except (KeyError, TypeError, ValueError) as error:
+            raise FailstopError(
+                f"--resume {arguments.resume}: it can't be continued: {error}; --json {arguments.resume} begins again"
+            ) from None
+    first = tally.next if before else arguments.first
     live = style.lives(os.environ, terminal=sys.stderr.isatty())
     with noted() as interrupted:
         # Here, because anyone who has read this line may press Ctrl-C.
         print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
-        _inject(arguments, rows, tally, interrupted, live=live)
+        _inject(arguments, rows, tally, interrupted, first, live=live)
     if live:
         sys.stderr.write("\r\x1b[K")
     return tally
 
 
 def _inject(
-    arguments: Namespace, rows: tuple[Row, ...], tally: report.Tally, interrupted: list[int], *, live: bool
+    arguments: Namespace, rows: tuple[Row, ...], tally: report.Tally, interrupted: list[int], first: int, *, live: bool
 ) -> None:
     """Inject one fault after the other, until a signal of `interrupted` has come."""
     if interrupted:
@@ -170,7 +191,7 @@ def _inject(
         return
     try:
         with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
-            for outcome in _outcomes(arguments, scene, rows, tally):
+            for outcome in _outcomes(arguments, scene, rows, tally, first):
                 if interrupted:
                     # The terminal's signal went to the board and the service too: this one proves nothing.
                     tally.interrupted = True
@@ -187,20 +208,18 @@ def _inject(
 
 
 def _outcomes(
-    arguments: Namespace, scene: Scene, rows: tuple[Row, ...], tally: report.Tally
+    arguments: Namespace, scene: Scene, rows: tuple[Row, ...], tally: report.Tally, first: int
 ) -> Iterator[injection.Outcome]:
     if arguments.each is not None:
         return (
             injection.inject_one(scene, fault, index, tally.seed) for fault in rows for index in range(arguments.each)
         )
     if arguments.count is not None:
-        return injection.campaign(
-            scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first
-        )
+        return injection.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, first)
     until_s = tally.begun_s + (arguments.seconds or CAMPAIGN_S)
 
     def over(injected: int) -> bool:
         """A busy machine may need all the time to start the service: one fault is injected in any case."""
         return injected > 0 and time.monotonic() >= until_s
 
-    return injection.campaign(scene, rows, tally.seed, over, arguments.first)
+    return injection.campaign(scene, rows, tally.seed, over, first)

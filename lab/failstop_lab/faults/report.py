@@ -6,7 +6,10 @@ import dataclasses
 import os
 import re
 import statistics
+import subprocess
 import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from failstop.doctor.machine import facts
@@ -94,7 +97,8 @@ class Row:
         names = ("p50_ms", "p99_ms", "max_ms")
         numbers = dict(zip(names, (round(value, 3) for value in found), strict=True)) if found else {}
         plain = {"count": self.count, "missed": self.missed, "motion_after": self.motion_after, "wrong": self.wrong}
-        return {"name": self.name, **plain, "skipped": self.skipped, **numbers}
+        times = {"times_ms": [round(time_ms, 3) for time_ms in self.times_ms]}
+        return {"name": self.name, **plain, "skipped": self.skipped, **numbers, **times}
 
 
 class Tally:
@@ -107,12 +111,34 @@ class Tally:
         self.rows = {fault.name: Row(fault.name) for fault in rows}
         self.stories: list[str] = []
         self.interrupted = False
+        self.next = 0
+        """The number of the first fault that was not drawn yet."""
+        self._parts: list[dict[str, Any]] = []
+        self._counted = 0
         self.begun_s = time.monotonic()
         self._begun_ticks = processor_ticks()
+
+    def resume(self, before: dict[str, Any]) -> None:
+        """Add what an earlier part of this campaign has measured, from its as_dict(). Raises ValueError if that was
+        another campaign."""
+        rows = {row["name"]: row for row in before["rows"]}
+        if before["board"] != self.board or rows.keys() != self.rows.keys():
+            raise ValueError("it was of another board or of other rows")
+        if before["seed"] != self.seed or not all("times_ms" in row for row in rows.values()):
+            raise ValueError("it has another seed, or not the time of each fault")
+        for name, row in self.rows.items():
+            known = rows[name]
+            row.count, row.missed, row.motion_after = known["count"], known["missed"], known["motion_after"]
+            row.wrong, row.skipped, row.times_ms = known["wrong"], known["skipped"], list(known["times_ms"])
+        self.stories = list(before["stories"])
+        self.next, self._parts = before["next"], list(before["machine"]["parts"])
+        self._counted = self.count
 
     def add(self, outcome: Outcome) -> None:
         """Count one."""
         self.rows[outcome.fault.name].add(outcome)
+        if not outcome.skipped:
+            self.next = max(self.next, outcome.index + 1)
         if outcome.wrong:
             self.stories.append(outcome.story(self.seed))
 
@@ -159,14 +185,15 @@ class Tally:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `--json`."""
-        machine = {
-            **facts(),
-            "took_s": round(time.monotonic() - self.begun_s),
-            "conditions": conditions(self._begun_ticks),
-        }
+        found = facts()
+        part = {"date": found["date"], "commit": commit(), "count": self.count - self._counted}
+        part |= {"took_s": round(time.monotonic() - self.begun_s), **measures(self._begun_ticks)}
+        parts = [*self._parts, part]
+        took_s = sum(one["took_s"] for one in parts)
+        machine = {**found, "took_s": took_s, "conditions": conditions(parts), "parts": parts}
         totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
         rows = [row.as_dict() for row in self.rows.values()]
-        told = {"machine": machine, "board": self.board, "seed": self.seed}
+        told = {"machine": machine, "board": self.board, "seed": self.seed, "next": self.next}
         return {**told, **totals, "rows": rows, "stories": self.stories}
 
 
@@ -186,13 +213,40 @@ def stolen_share(begun: tuple[int, int]) -> float:
     return (stolen - stolen_before) / max(1, now - all_before)
 
 
-def conditions(begun: tuple[int, int]) -> str:
-    """What decides how late a stop is, of the machine since then, in words."""
-    share = stolen_share(begun)
+def measures(begun: tuple[int, int]) -> dict[str, Any]:
+    """What decides how late a stop is, of the machine since then. `begun`: processor_ticks() at that time."""
     with rights.realtime(1) as granted:
-        found = "with real-time rights" if granted else "without real-time rights"
-    load = os.getloadavg()[0]
-    return f"{found}, at a load of {load:.1f} and a steal of {share:.1%} (processor time that the host took away)"
+        return {"realtime": granted, "load": round(os.getloadavg()[0], 1), "steal": stolen_share(begun)}
+
+
+def conditions(parts: Sequence[Mapping[str, Any]]) -> str:
+    """The measures() of all parts of a campaign in words."""
+    granted = sum(part["realtime"] for part in parts)
+    found = "with real-time rights" if granted else "without real-time rights"
+    if 0 < granted < len(parts):
+        found = f"with real-time rights in {granted} of {len(parts)} parts"
+    load = _span([f"{part['load']:.1f}" for part in sorted(parts, key=lambda part: float(part["load"]))])
+    steal = _span([f"{part['steal']:.1%}" for part in sorted(parts, key=lambda part: float(part["steal"]))])
+    return f"{found}, at a load of {load} and a steal of {steal} (processor time that the host took away)"
+
+
+def _span(values: Sequence[str]) -> str:
+    return values[0] if values[0] == values[-1] else f"{values[0]} to {values[-1]}"
+
+
+def commit() -> str:
+    """The commit of the checkout that this is, with a + if a file differs from it. Empty outside of a checkout."""
+    root = Path(__file__).resolve().parents[3]
+    if not (root / ".git").exists():
+        return ""
+    try:
+        said = [
+            subprocess.run(["git", "-C", root, *words.split()], capture_output=True, text=True, check=True).stdout
+            for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no")
+        ]
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return said[0][:8] + "+" * bool(said[1])
 
 
 def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
@@ -243,6 +297,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"Python {machine['python']}, failstop {machine['version']}; {result['count']} faults in "
         f"{machine['took_s']} s, seed {result['seed']}: **{result['missed']} stops missed, "
         f"{result['motion_after']} motion frames after a stop, {result['wrong']} not as the table says**.",
+        *_parts(machine.get("parts", ())),
         "",
         f"**{within[0].upper()}{within[1:]}.** {_conditions(machine)}",
         "",
@@ -280,6 +335,14 @@ def markdown(result: dict[str, Any]) -> str:
     lines += ["", "## Beyond this side of the wire", "", "| what | what helps |", "|---|---|"]
     lines += [f"| {what} | {helps} |" for what, helps in BEYOND]
     return "\n".join(lines) + "\n"
+
+
+def _parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
+    """When each part of a campaign was run, at which commit."""
+    if not parts:
+        return []
+    each = (f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults" for part in parts)
+    return [f"Run on {'; '.join(each)}."]
 
 
 def other_boards() -> list[str]:
@@ -333,6 +396,7 @@ MEASURED = re.compile(
     r"failstop (?P<version>\S+); (?P<count>\d+) faults in (?P<took_s>\d+) s, seed (?P<seed>\d+): "
     r"\*\*(?P<missed>\d+) stops missed, (?P<motion_after>\d+) motion frames after a stop, (?P<wrong>\d+) not as"
 )
+PART = re.compile(r"(?P<date>\d{4}-\d\d-\d\d) at (?P<commit>no commit|\S+): (?P<count>\d+) faults[;.]")
 RAN = re.compile(r"\*\* The service ran (.*)\.$", re.M)
 
 
@@ -345,6 +409,7 @@ def result_of(page: str) -> dict[str, Any]:
     machine = {key: found.pop(key) for key in ("date", "cores", "machine", "kernel", "python", "version", "took_s")}
     if ran := RAN.search(page):
         machine["conditions"] = ran[1]
+    machine["parts"] = [part.groupdict() for part in PART.finditer(page)]
     rows, columns = [], list[str]()
     for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip("| ").split(" | ")]

@@ -17,6 +17,7 @@ import pytest
 from failstop.cli import main as cli
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
+from failstop_lab.faults import report
 from failstop_lab.faults.injection import draw
 from failstop_lab.faults.report import rows_of
 from tests.support.amounts import amount
@@ -86,6 +87,31 @@ def test_a_campaign_is_repeated_from_any_fault_on_with_settings_of_the_user(tmp_
     assert "gate.lease_s" in chaos(*only).stderr
 
 
+@pytest.mark.slow
+def test_a_campaign_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, names = tmp_path / "chaos.json", ("kill-gate", "kill-stopper")
+    only = ("--only", ",".join(names), "--count", "2")
+    assert chaos(*only, "--seed", "7", "--json", str(out)).returncode == 0
+    first = json.loads(out.read_text())
+    assert chaos(*only, "--resume", str(out)).returncode == 0
+    both = json.loads(out.read_text())
+    drawn = Counter(draw(tuple(EVERY[name] for name in names), index, 7).name for index in range(4))
+    assert {row["name"]: row["count"] for row in both["rows"]} == drawn
+    assert (first["next"], both["next"], both["seed"]) == (2, 4, 7)
+    times = [{row["name"]: row["times_ms"] for row in result["rows"]} for result in (first, both)]
+    assert all(times[1][name][: len(found)] == found for name, found in times[0].items())
+    parts = both["machine"]["parts"]
+    assert [part["count"] for part in parts] == [2, 2]
+    assert both["machine"]["took_s"] == sum(part["took_s"] for part in parts)
+    page = report.markdown(both)
+    assert f"Run on {parts[0]['date']} at {parts[0]['commit'] or 'no commit'}: 2 faults; " in page
+    assert report.remade(page) == page
+    capsys.readouterr()
+    assert cli.main(["chaos", "--resume", str(out), "--count", "1"]) == 1
+    assert "it can't be continued: it was of another board or of other rows; --json" in capsys.readouterr().err
+    assert json.loads(out.read_text()) == both
+
+
 def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
     command = [*FAILSTOP, "chaos", "--only", "kill-gate", "--seconds", "60"]
     with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True, start_new_session=True) as process:
@@ -146,6 +172,8 @@ def test_a_page_from_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (("--json", "/nowhere/chaos.json"), 1, "--json /nowhere/chaos.json: No such file or directory"),
         (("--only", "nonsense"), 1, "no row 'nonsense' in the fault table"),
         (("--from", "/nowhere"), 1, "--from goes with --markdown"),
+        (("--resume", "/nowhere", "--seed", "7"), 1, "--resume goes with --count and --seconds"),
+        (("--resume", "/nowhere"), 1, "/nowhere is not the result of a campaign"),
         (("--markdown", "--from", "/nowhere"), 1, "/nowhere is not the result of a campaign"),
         (("--device", "/dev/ttyACM0"), 2, "add --on-the-stand --wheels-are-free"),
         (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "add --wheels-are-free"),
