@@ -122,11 +122,12 @@ abi: $(VENV)/.dev
 soak: $(VENV)/.dev
 	$(BIN)/python -m bench.soak
 
-# COUNT random faults on real processes, 110 a minute with Hiwonder's board, into chaos.json. RESUME=yes: the next COUNT faults of the campaign in that
-# file. BOARD: as for `board`.
+# COUNT random faults on real processes, 110 a minute with Hiwonder's board, into the file that `make docs` makes pages of (with
+# BOARD, as for `board`: into chaos.json). RESUME=yes: the next COUNT faults of the campaign in that file.
 COUNT ?= 10000
+CAMPAIGN = $(if $(BOARD),chaos.json,lab/failstop_lab/faults/campaign.json)
 chaos: $(VENV)/.installed
-	$(BIN)/failstop chaos --count $(COUNT) $(if $(RESUME),--resume,--json) chaos.json $(if $(BOARD),--board $(BOARD))
+	$(BIN)/failstop chaos --count $(COUNT) $(if $(RESUME),--resume,--json) $(CAMPAIGN) $(if $(BOARD),--board $(BOARD))
 
 # For a night: every single fault at every call of every scenario, on a simulated machine, then drawn runs for SEEDS seconds of each
 # processor, from the seed of the day on (lab/failstop_lab/simulate/README.md). BOARD: as for `board`.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from failstop.board.kinds import ALL_KINDS
-from failstop_lab.faults.report import processor_ticks, stolen_share
+from failstop_lab.faults.report import LAST, processor_ticks, stolen_share
 from failstop_lab.pages import tried
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,7 +144,7 @@ def tree() -> str:
     get other names when it is rebased. The files that a row before this one has renewed don't count, because nothing
     is tried with them."""
     commit = said("git", "merge-base", "HEAD", "main") or said("git", "rev-parse", "HEAD")
-    others = [f":(exclude){path.relative_to(ROOT)}" for path in (tried.FILE, PAGE)]
+    others = [f":(exclude){path.relative_to(ROOT)}" for path in (tried.FILE, PAGE, ROOT / LAST)]
     changed = said("git", "diff", "--name-only", commit, "--", ".", *others)
     return commit[:8] + ("+" if changed else "")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -15,8 +16,8 @@ from tests.support.pages import ROOT
 
 @pytest.fixture
 def pages(tmp_path: Path) -> Path:
-    """A checkout with these two pages, to change."""
-    for name in (speed.FAULTS, speed.MEASURED):
+    """A checkout with the last campaign and the page on measurements, to change."""
+    for name in (report.LAST, speed.MEASURED):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     return tmp_path
@@ -28,7 +29,7 @@ def test_each_line_sums_up_rows_of_the_fault_table() -> None:
 
 
 def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
-    rows = {row["name"]: row for row in report.result_of((ROOT / speed.FAULTS).read_text())["rows"]}
+    rows = {row["name"]: row for row in report.last_campaign(ROOT)["rows"]}
     hangs = [rows[name] for name in speed.LINES[3].rows]
     slowest_ms = max(row["p99_ms"] for row in hangs)
     tried = sum(row["count"] for row in hangs)
@@ -37,18 +38,16 @@ def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
 
 
 def test_kinds_that_were_never_injected_are_not_counted(pages: Path) -> None:
-    rows = report.result_of((ROOT / speed.FAULTS).read_text())["rows"]
+    rows = report.last_campaign(ROOT)["rows"]
     injected = [row for row in rows if row["count"]]
     assert f" faults of {len(injected)} kinds were injected" in " ".join(speed.text(pages).split())
 
 
 def test_a_slower_campaign_and_a_missed_stop_show(pages: Path) -> None:
-    page = pages / speed.FAULTS
-    text = page.read_text()
-    (row,) = re.findall(r"^\| `hang-telemetry` .*$", text, re.MULTILINE)
-    cells = row.split(" | ")
-    cells[7:10] = ["600.00", "777.00", "900.00"]
-    page.write_text(text.replace(row, " | ".join(cells)).replace("**0 stops missed", "**3 stops missed"))
+    found = report.last_campaign(pages)
+    (row,) = (row for row in found["rows"] if row["name"] == "hang-telemetry")
+    row |= {"p50_ms": 600.0, "p99_ms": 777.0, "max_ms": 900.0}
+    (pages / report.LAST).write_text(json.dumps({**found, "missed": 3}))
     made = " ".join(speed.text(pages).split())
     assert "| 600 ms | 777 ms |" in made
     assert "**3 stops were missed" in made

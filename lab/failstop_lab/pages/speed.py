@@ -46,7 +46,7 @@ KILL_ROW = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max 
 
 def text(root: Path) -> str:
     """The table, with what was measured where. Raises ValueError for a page without these numbers."""
-    found = report.result_of((root / FAULTS).read_text("utf-8"))
+    found = report.last_campaign(root)
     rows = {row["name"]: row for row in found["rows"]}
     head = "| What happens | half of the stops within (p50) | 99 of 100 within (p99) | times tried |"
     table = [head, "|---|---|---|---|", *(_line(line, [rows[name] for name in line.rows]) for line in LINES)]

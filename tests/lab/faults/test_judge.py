@@ -106,7 +106,6 @@ def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
         assert tally.summary().endswith(f"; the p99 was within its bar for {found}")
         assert ("MISSED" in tally.table()) is bool(late)
         assert "(processor time that the host took away)." in page
-        assert report.remade(page) == page
 
 
 def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
@@ -124,7 +123,7 @@ def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
 
 
 def test_the_stopping_distance_reckons_with_what_was_measured() -> None:
-    found = report.result_of((Path(__file__).parents[3] / "docs" / "reference" / "faults.md").read_text())["rows"]
+    found = report.last_campaign(Path(__file__).parents[3])["rows"]
     deaths = [row["p99_ms"] for row in found if re.match("(kill|crash)-[a-z_]+$", row["name"])]
     assert len(deaths) == 10
     assert max(deaths) <= 1000 * distance.DEATH_S

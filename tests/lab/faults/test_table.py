@@ -180,4 +180,4 @@ def test_the_page_has_the_rows_of_the_table() -> None:
     described = [report.described(fault) for fault in sorted(FIRST, key=lambda fault: FAULT_CLASSES.index(fault.event))]
     described += [fault.described() for fault in arm_table.ROWS]
     for expected, row in zip(described, rows, strict=True):
-        assert row.startswith(expected), "failstop chaos --each 5 --json F --markdown > docs/reference/faults.md"
+        assert row.startswith(expected), "make docs"
