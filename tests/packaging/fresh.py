@@ -94,7 +94,7 @@ from failstop_lab.faults.table import DRIVER_HAS_DIED
 
 KIND, FOLDER, LIMIT_S = sys.argv[1], sys.argv[2], float(sys.argv[3])
 SETTINGS = FOLDER + "/own.toml"
-STRIKES = 3
+STRIKES = 6
 DRIVE = """
 import time
 from failstop import FailstopError, Robot
@@ -134,8 +134,8 @@ def drives(robot):
     return state.moving and state.turning.does == "turning"
 
 
-with open(SETTINGS, "w") as file:
-    file.write(f'board.kind = "{KIND}"\\n')
+with open(SETTINGS, "w") as file:  # an emulated process is slow
+    file.write(f'board.kind = "{KIND}"\\ngate.command_timeout_s = 2.0\\ngate.lease_s = 1.0\\n')
 # At real-time priority the kernel would kill a process for its first turn, which is emulated and so takes too long.
 run = ["setpriv", "--bounding-set=-sys_nice", "failstop", "run", "--config", SETTINGS]
 service = subprocess.Popen([*run, "--device", FOLDER + "/board"])
