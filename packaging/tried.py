@@ -22,6 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/reference/tried.md"
 TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfailed)(?:, )?)+)", re.MULTILINE)
 """pytest's last line: how many passed, failed and were skipped."""
+FAILED = re.compile(r"^\d+ failed, ")
+SECOND = re.compile(r"^Passed on the second try only.*\n((?:  \S.*\n)+)", re.MULTILINE)
+"""The end of `make test`, with the names of the tests that it tried twice."""
 BARS = re.compile(r"^    bar: .*  (met|MISSED)$", re.MULTILINE)
 """A line below each row of a bench's table that has a bar."""
 EQUAL = re.compile(r"^built twice, (equal to the byte: \d+ files)$", re.MULTILINE)
@@ -120,6 +123,9 @@ def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
         totals.append(f"{fuzzed.count('good')} of {len(fuzzed)} parsers passed")
     if bars := BARS.findall(output):
         totals.append(f"{bars.count('met')} of {len(bars)} bars met")
+    if code == 0 and (names := SECOND.findall(output)):
+        totals = [FAILED.sub("", total) for total in totals]
+        totals.append(f"{sum(each.count(chr(10)) for each in names)} of them on the second try")
     counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")
     return {version: counted if code == 0 else f"FAILED ({counted})"}
 

@@ -134,7 +134,9 @@ def test_a_command_runs_none_of_its_modules(command: str, folder: Folder, tmp_pa
     with SimBoard(port):
         code, said = folder.run(*words)
     assert folder.ran() == []
-    if command != "doctor":  # it judges this machine
+    if command == "chaos of the stop tool":  # how late its stop may be, is a matter of its row's own test
+        assert " 0 stops missed" in said, said
+    elif command != "doctor":  # it judges this machine
         assert code == FAILS.get(command, 0), said
 
 
