@@ -32,7 +32,8 @@ def test_a_run_s_result_is_what_pytest_counted(tried: Any) -> None:
     counted = "2 failed, 5325 passed, 3 skipped; 12 passed"
     assert tried.results(row, PASSED, 0, "Python 3.14.8") == {"Python 3.14.8": counted}
     assert tried.results(row, PASSED, 2, "Python 3.14.8") == {"Python 3.14.8": f"FAILED ({counted})"}
-    twice = f"{PASSED}\nPassed on the second try only, so find out why (x.txt):\n  tests/a.py::one\n  tests/a.py::two\nmake: y\n"
+    names = "  tests/a.py::one\n  tests/a.py::two\n"
+    twice = f"{PASSED}\nPassed on the second try only, so find out why (x.txt):\n{names}make: y\n"
     better = "5325 passed, 3 skipped; 12 passed; 2 of them on the second try"
     assert tried.results(row, twice, 0, "Python 3.14.8") == {"Python 3.14.8": better}
     assert tried.results(row, "no such thing", 2, "x") == {"x": "FAILED (stopped early)"}
