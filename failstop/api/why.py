@@ -167,7 +167,7 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
     return None, ""
 
 
-UNTIMED = "this stop was not timed, because only latched stops are"
+UNTIMED = "this stop was not timed: failstop times only latched stops"
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:

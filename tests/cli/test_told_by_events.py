@@ -62,7 +62,7 @@ def rows(state_: object, events: list[Event]) -> str:
     return " ".join(shown(state_, events).split())
 
 
-UNTIMED = "this stop was not timed, because only latched stops are"
+UNTIMED = "this stop was not timed: failstop times only latched stops"
 KEY = stop(t=NOW_S - 300, noticed_ns=1)
 
 

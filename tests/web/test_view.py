@@ -162,7 +162,7 @@ def test_a_reading_from_before_the_stop_does_not_say_that_it_has_stopped_the_whe
 def test_the_last_stop_of_the_page_is_what_stopped_the_wheels_last() -> None:
     death = event("driver_gone", DEATH, 5.0)
     found = shown(states.state(last_stop=states.stop()), death)["unlatched"]
-    untimed = "this stop was not timed, because only latched stops are"
+    untimed = "this stop was not timed: failstop times only latched stops"
     assert found == {"reason": DEATH, "t": NOW_S - 5.0, "lacks": untimed}
     assert shown(states.latched(), death)["unlatched"] is None
     assert shown(states.state(last_stop=states.stop(noticed_ns=2)), death)["unlatched"] is None
