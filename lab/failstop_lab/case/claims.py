@@ -45,7 +45,7 @@ CLAIMS = (
         "HANG-1",
         "If one of the service's processes hangs or runs in an endless loop, the wheels stop.",
         515.0,
-        "from the hang. This is the bar of telemetry; the stopper has 265 ms, the port owner 115 ms, the gate and the "
+        "from the hang. 515 ms is for telemetry; the stopper has 265 ms, the port owner 115 ms, the gate and the "
         "supervisor have 75 ms",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
         "a process that is halted for longer than its deadline, and wheels that keep turning",
@@ -73,7 +73,7 @@ CLAIMS = (
         "A stop request stops the wheels even if programs of a lower priority than failstop's keep every processor "
         "core busy, or if the machine has no memory, file descriptor or disk space to spare. If somebody deletes the "
         "service's shared memory or its stop pipe, the service stops the wheels and ends.",
-        1020.0, "from the deletion. After a stop request or another fault it is 20 ms", ("RIGHTS",),
+        1020.0, "from the deletion; 20 ms from a stop request or a shortage", ("RIGHTS",),
         "a shortage under which a request stops nothing",
     ),
     Claim(
@@ -81,7 +81,7 @@ CLAIMS = (
         "When a driver dies, motion is disabled, unless `gate.driver_death` is `stay`. When a driver falls "
         "silent, the wheels stop after its last command has timed out. A command that is not a number latches a stop, "
         "and so does a second program that commands as the same source.",
-        320.0, "from the driver's last command. After its death or an exception it is 20 ms", ("LIFELINE", "CLOCK"),
+        320.0, "from the last command of a driver that falls silent; 20 ms from everything else", ("LIFELINE", "CLOCK"),
         "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),
     Claim(
@@ -165,9 +165,10 @@ CLAIMS = (
     Claim(
         "MOVE-2",
         "After a latched stop, nothing moves until somebody resets the stop and enables motion, except for the one "
-        "frame of MOVE-1. After a start of the service, which also ends a latched stop, and after a disable, a lost "
-        "interlock or the death of a driver (unless `gate.driver_death` is `stay`), nothing moves until somebody "
-        "enables motion. failstop never enables by itself, and while it runs it resets no stop by itself.",
+        "frame of MOVE-1. Nothing moves until somebody enables motion after any of these: a start of the service "
+        "(which also ends a latched stop), a disable, a lost interlock, and the death of a driver (unless "
+        "`gate.driver_death` is `stay`). failstop never enables by itself, and while it runs it resets no stop by "
+        "itself.",
         None, "motion frames before the enable: 0, or the one frame of MOVE-1", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),
@@ -232,7 +233,8 @@ CLAIMS = (
         "RETURN-1",
         "When nothing fails any more, failstop grants a reset and an enable, and the wheels turn again.",
         None, "simulated time until the wheels turn again: at most 2 s. Runs of the "
-        "[model](how-it-is-tested.md#the-stop-protocol-in-a-model-checker) of the stop protocol that never end: 0",
+        "[model](how-it-is-tested.md#the-stop-protocol-in-a-model-checker) of the stop protocol in which the wheels "
+        "never turn again: 0",
         ("SIMULATED", "MODEL"),
         "a service that is whole and never grants motion again",
     ),
