@@ -44,7 +44,7 @@ TABLE = (
     Row("read or take away the stop requests of others", OWNERS, "", "overhear"),
     Row(
         "have a stop shown as somebody else's", NOBODY,
-        "if a request names somebody, failstop shows that as the words of the sender",
+        "if a request contains a name, failstop shows it as text that the sender wrote, next to the real sender",
         "tests/policy/test_causes.py::test_a_forged_sender_is_what_somebody_says",
     ),
     Row("write into the memory of the service's processes", OWNERS, "", "write_memory"),
@@ -73,7 +73,7 @@ TABLE = (
     ),
     Row("make root write through a link", NOBODY, "failstop follows no link", "plant_link"),
     Row(
-        "keep a user who is not logged in from starting a service", EVERYONE,
+        "prevent a user who has no login session (as in a cron job) from starting a service", EVERYONE,
         "such a user has no `/run/user/UID`, so the service would use `/dev/shm/failstop-UID`, and anybody can create "
         "this folder first. Then the service writes the stop, names the folder and its owner, and ends. Root is never "
         "affected",
