@@ -31,9 +31,7 @@ from failstop_lab.stopped import judge as judge
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-READY_S = 60.0
-"""How long to wait for what comes for certain, on the slowest machine: an emulated one takes over ten seconds to start
-a service. How fast it must come is the business of benches and of the tables of faults."""
+READY_S = 10.0
 NOT_UP = "a process or the port is not up yet"
 """The gate refuses an enable in these words while one of the processes misses a beat."""
 COMMAND_EVERY_S = 0.02
