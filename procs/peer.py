@@ -14,20 +14,20 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""The shortest time for which the port owner and the stopper go on after the supervisor's death, in ns. On most boards
-this is enough for the burst and its repeats."""
+"""The shortest time for which the port owner and the stopper stay alive after the supervisor's death, in ns. On most
+boards this is enough for the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
-"""How long the port owner and the stopper go on after the last repeat of a stop, so that the repeat gets out of the
-port."""
+"""How long the port owner and the stopper stay alive after they have written the last repeat of a stop, so that its
+bytes leave the port."""
 LATEST_NS = 500_000_000
-"""The longest time for which the port owner and the stopper go on after the supervisor's death, in ns. Each of them
-waits while its port still holds bytes of the stop, because the kernel drops these bytes when the last process closes
-the port."""
+"""The longest time for which the port owner and the stopper stay alive after the supervisor's death, in ns. Each
+of them waits while its port still holds bytes of the stop, because the kernel drops these bytes when the last process
+closes the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """Return how long the port owner and the stopper go on after the supervisor's death, in ns. The board receives the
-    last repeat of the stop in this time."""
+    """Return how long the port owner and the stopper stay alive after the supervisor's death, in ns. The board
+    receives the last repeat of the stop in this time."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 

@@ -11,8 +11,8 @@ BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
 STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
-"""Bits for the rights that a process has. EARLY_NEWS: the kernel reports a death before it frees the dead process's
-memory (futex.proven)."""
+"""Bits for what a process has: real-time rights, locked memory, and early news of deaths. EARLY_NEWS: the kernel
+reports a death before it frees the dead process's memory (futex.proven)."""
 
 
 class HeartbeatReader:

@@ -103,8 +103,8 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the next saver, unless MOST_SAVERS are running. A late saver (ON_TIME_NS) waits while the robot may
-        move. A saver that is much too late (GIVE_UP_NS) is given up."""
+        """Start the next saver, unless MOST_SAVERS are running. If it is more than ON_TIME_NS late, it waits
+        until the robot can't move. If it is more than GIVE_UP_NS late, it is given up."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)

@@ -320,9 +320,9 @@ class Robot(Calls):
         otherwise, 2 s at most). After a restart of the service nothing moves until you enable motion again.
 
         Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
-        waits at most `wait_s` until the gate lets this source drive (0.3 ms on an idle machine). It returns at once if
-        this source already drives, a stop is latched, or motion is disabled. If this source was already driving, or if
-        `wait_s` is very short, the answer may still be about your previous command.
+        waits until the gate lets this source drive, which takes 0.3 ms on an idle machine, but no longer than `wait_s`.
+        It returns at once if this source already drives, a stop is latched, or motion is disabled. If this source was
+        already driving, or if `wait_s` is very short, the answer may still be about your previous command.
 
         `proven_ns`: the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
         The timeout counts from it, so pass it for commands that may be delayed, for example by a network. `manual`:

@@ -122,7 +122,8 @@ class Roster:
             else:
                 return
             if alive:
-                known.dated_s = message.date(found.get("t"))
+                # The broker's stored messages come in any order.
+                known.dated_s = _newest(known.dated_s, message.date(found.get("t")))
                 known.sign_s = known.sign_s if retained else now_s
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             self.strange += 1
@@ -133,6 +134,11 @@ class Roster:
         """Return the robots sorted by name. Numbers in names are compared as numbers, so robot-2 comes before
         robot-10."""
         return sorted(self.robots.values(), key=lambda robot: _natural(robot.id))
+
+
+def _newest(*dates_s: float | None) -> float | None:
+    """Return the newest of these dates, s. None if none of them is known."""
+    return max((date_s for date_s in dates_s if date_s is not None), default=None)
 
 
 def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:

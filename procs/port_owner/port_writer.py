@@ -23,7 +23,7 @@ class PortWriter(StopPort):
         """For each early stop that the loop has not handled yet, how many of its bytes the kernel took. A thread writes
         an early stop as soon as it notices a death. ALREADY means that a whole stop was already on the line."""
         self._handed = 0
-        """How many bytes the kernel has taken since the last time when it held none."""
+        """How many bytes were handed to the kernel since its output buffer was last empty."""
         self._held_since_ns = 0
         self._refused = False
         """True if the kernel took nothing of the last write."""

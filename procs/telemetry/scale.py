@@ -80,7 +80,8 @@ class Ratio:
 
     @property
     def known(self) -> Sum:
-        """The sums to judge from: `reached` if they cover at least REACHED_LEAST_S, otherwise `risen`."""
+        """The sums to judge from: those in `reached` if they cover at least REACHED_LEAST_S, otherwise those in
+        `risen`."""
         return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:

@@ -69,6 +69,13 @@ def test_a_robot_that_was_silent_before_is_lost_by_its_clock_or_in_time(off_s: f
     assert word(roster, 50.0) == verdict.DRIVING
 
 
+def test_a_stored_connection_that_comes_after_a_newer_state_makes_no_robot_lost() -> None:
+    roster = Roster()
+    drive(roster, 0.0, retained=True)
+    connect(roster, 0.0, retained=True, off_s=-3600.0)
+    assert word(roster, 0.0) == verdict.DRIVING
+
+
 def test_a_robot_that_never_had_a_state_is_lost_too() -> None:
     roster = Roster()
     connect(roster, 0.0)

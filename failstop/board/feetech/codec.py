@@ -39,7 +39,7 @@ READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERA
 which question it belongs to. The question for the position also reads the load and the temperature, which come after
 the position in the servo's memory."""
 REPORT_EVERY = 10
-"""After how many answered questions to the wheels the supply and the servos' health are reported again. This is about
+"""The supply and the servos' health are reported once for this many answered questions to the wheels, which is about
 once a second."""
 
 MISSES = 2

@@ -56,7 +56,7 @@ _MOVES_AT = 4
 
 def held_ns(frame: bytes) -> int:
     """Return how long a servo's frame holds up the receiver at most, in ns. Call this only for a frame whose form and
-    count have been checked."""
+    number of servos have been checked."""
     data = frame[4:]
     if data[0] == SERVO_MOVE:
         return MOVE_NS * data[3]
@@ -95,7 +95,8 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
     stays on. Raises FrameError.
 
     If the frame is cut short, the zeros of the stop burst may complete it. It then stops only some of these servos, and
-    also a servo with the id 0. This can't be prevented, because a stop has no value that could be varied.
+    also a servo with the id 0. A move prevents this by a slightly different time, but a stop has no
+    value that could differ.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])

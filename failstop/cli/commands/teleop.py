@@ -63,7 +63,9 @@ HOW = "hold a key to drive; a tap drives for 0.3 s"
 def add_arguments(parser: ArgumentParser) -> None:
     """Define the options of `failstop teleop`."""
     parser.add_argument(
-        "--source", default=FIRST_SOURCE, help=f"drive as this source of the settings (default: {FIRST_SOURCE})"
+        "--source",
+        default=FIRST_SOURCE,
+        help=f"drive as this source, one of [sources] in the settings (default: {FIRST_SOURCE})",
     )
     add_name(parser)
 

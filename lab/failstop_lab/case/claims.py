@@ -73,7 +73,7 @@ CLAIMS = (
         "A stop request stops the wheels even if programs of a lower priority than failstop's keep every processor "
         "core busy, or if the machine has no memory, file descriptor or disk space to spare. If somebody deletes the "
         "service's shared memory or its stop pipe, the service stops the wheels and ends.",
-        1020.0, "from the deletion; 20 ms from a stop request or a shortage", ("RIGHTS",),
+        1020.0, "from the deletion; 20 ms from a stop request, also during a shortage", ("RIGHTS",),
         "a shortage under which a request stops nothing",
     ),
     Claim(
@@ -120,9 +120,9 @@ CLAIMS = (
     ),
     Claim(
         "RUNAWAY-1",
-        "If the board reports more often than once a second what its wheels do, then failstop stops the robot when a "
-        "wheel does not slow down and turns faster than commanded, turns the other way, or has not come to rest since "
-        "it was commanded zero. This is judged while motion is enabled.",
+        "failstop stops the robot when a wheel runs away: the wheel does not slow down, and it either turns faster "
+        "than commanded, turns the other way, or has not come to rest since it was commanded zero. This holds while "
+        "motion is enabled, with boards that report their wheels more often than once a second.",
         1700.0, "from when the wheel runs away, at 0.1 m/s, with the board that reports least often (`arduino`)",
         ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
@@ -165,10 +165,9 @@ CLAIMS = (
     Claim(
         "MOVE-2",
         "After a latched stop, nothing moves until somebody resets the stop and enables motion, except for the one "
-        "frame of MOVE-1. Nothing moves until somebody enables motion after any of these: a start of the service "
-        "(which also ends a latched stop), a disable, a lost interlock, and the death of a driver (unless "
-        "`gate.driver_death` is `stay`). failstop never enables by itself, and while it runs it resets no stop by "
-        "itself.",
+        "frame of MOVE-1. After a start of the service (which also ends a latched stop), a disable, a lost "
+        "interlock, or the death of a driver (unless `gate.driver_death` is `stay`), nothing moves until somebody "
+        "enables motion. failstop never enables by itself, and while it runs it resets no stop by itself.",
         None, "motion frames before the enable: 0, or the one frame of MOVE-1", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),
@@ -177,7 +176,8 @@ CLAIMS = (
         "A driver at the guard port can't turn a wheel with bytes that the board itself would refuse, can't exceed the "
         "limits, and can't turn a wheel after it has died.",
         None,
-        "motion frames while motion is disabled or a stop is latched, from a dead driver, or above a limit: 0",
+        "motion frames while motion is disabled or a stop is latched, from a dead driver, or above a limit: 0, or the "
+        "one frame of MOVE-1",
         ("PTY", "USERS"),
         "a wheel that turns because of bytes that the board would refuse, or of a driver that has died",
     ),
@@ -211,7 +211,9 @@ CLAIMS = (
         "BOARD-2",
         "Each board's stop works whatever state the board's receiver is in, also after a frame that was cut off, and "
         "while another process writes.",
-        None, "stops lost: 0. A stop takes at most 40 ms longer than with Hiwonder's board", ("RECEIVER", "WRITE"),
+        None,
+        "stops lost: 0. A stop takes at most 40 ms longer than with Hiwonder's board, 150 ms through some USB adapters",
+        ("RECEIVER", "WRITE"),
         "a state of the board's own firmware from which a burst does not stop the wheels",
     ),
     Claim(

@@ -78,7 +78,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(
         "--device",
         metavar="PATH",
-        help="test a real board on a stand, at this port; its answers and its IMU judge; needs both consents",
+        help="test the real board at this port, on a stand; its answers and its IMU show whether it stopped; needs "
+        "--on-the-stand and --wheels-are-free",
     )
     add(
         "--on-the-stand",

@@ -90,7 +90,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--driver-pid",
         type=int,
         metavar="PID",
-        help="the pid of the robot's driver, so that the probe can kill it (the failure named driver)",
+        help="the pid of the robot's driver; the row `driver` needs it, because there the probe kills the driver",
     )
     for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
         add = way.add_argument

@@ -28,7 +28,7 @@ failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # random faults and orders, for a minute
 failstop simulate --seed 537      # repeat one random run
 failstop simulate --decisions FILE  # repeat a failure from its printout
-failstop simulate --controls      # are removed parts noticed?
+failstop simulate --controls      # without a part, do the runs fail?
 """
 EVERY = "*"
 SEEDS_A_DAY = 1_000_000

@@ -43,7 +43,7 @@ FILES = (
         "/run/failstop/NAME",
         "The runtime directory of the service NAME. It holds the service's lock, the file in which programs lock their "
         "client slots, the pipe for stop requests, the pipe that wakes the gate when a program has written a command, "
-        "the command line of the last run, and the number that identifies the shared memory of this run. failstop "
+        "the command line of the last run, and the number that identifies that run's shared memory. failstop "
         "refuses a directory that another user could have put there.",
     ),
     (
@@ -58,8 +58,8 @@ ENVIRONMENT = (
     (
         "XDG_RUNTIME_DIR",
         "If your user can't use /run/failstop, the runtime directory is below this folder (default: /run/user/UID). If "
-        "your user can use neither, it is below /dev/shm/failstop-UID. Root never uses /dev/shm for it; failstop then "
-        "prints an error instead.",
+        "your user can use neither, it is below /dev/shm/failstop-UID. If root can use neither, failstop prints an "
+        "error and does not use /dev/shm.",
     ),
     (
         root.VARIABLE,
