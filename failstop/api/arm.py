@@ -20,8 +20,9 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """Moves the robot's arm. Get it as `robot.arm`. The arm moves only while motion is disabled and no stop is latched.
-    If two programs set goals for the arm at the same time, a stop is latched."""
+    """Moves the robot's arm. Get it as `robot.arm`. The arm does not move while a stop is latched. If the board
+    can't move the arm and the wheels together, the arm also does not move while motion is enabled. If two programs try
+    to move the arm at the same time, a stop is latched."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError if the robot's settings name no joints."""
@@ -56,8 +57,9 @@ class Arm:
         `speed`: the share of each joint's highest speed to use. `progress`: called with each text about the progress.
 
         Raises ValueError for an unknown joint. Raises Refused before the move if an angle is out of range, the move
-        would be too fast, the arm would hit something, motion is enabled, or a stop is latched. Raises Refused during
-        the move if arm.hold(), another request or a stop ends the move, or if a servo does not answer or follow.
+        would be too fast, the arm would hit something, or a stop is latched. If the board can't move the arm and the
+        wheels together, it also raises Refused while motion is enabled. Raises Refused during the move if arm.hold(), a
+        later request or a stop ends the move, or if a servo does not answer or follow.
         """
         asked_ns = monotonic_ns()  # another request may be made while the whole way is checked
         points = [(over_s, to)] if isinstance(to, Mapping) else to

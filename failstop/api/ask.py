@@ -1,6 +1,8 @@
-"""Ask: asks a running service to stop the robot, and checks that it does. The request needs only the stop pipe. The
-service's state is read if possible, which fails if the service is of a different version, has only half started, or is
-partly dead."""
+"""Ask: asks a running service to stop the robot, and checks that the service does so.
+
+The request needs only the stop pipe. The check also reads the service's state. The state can't be read if the service
+has a different version, if only a part of it has started, or if a part of it is dead.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
     """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Problems are returned as
     text, never raised.
 
-    Returns (result, problem, doubt). `result`: the stop is latched, or it was written but this user can't see the
-    latch; empty if neither is known. `problem`: what is wrong; empty if nothing is. `doubt`: True if the stop is
-    latched, but the wheels may still turn.
+    Returns (result, problem, doubt). `result`: a text that says what is known: the stop is latched, or the stop was
+    written but this user can't see whether it is latched. It is empty if neither is known. `problem`: a text that says
+    what is wrong, or an empty text. `doubt`: True if the stop is latched, but the wheels may still turn.
     """
     try:
         send_stop(name, reason, who)

@@ -30,8 +30,9 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""In ns. A command that repeats the previous one within this time does not wake the gate. The gate reads it at its next
-tick, before the previous command expires. This saves the 0.2 to 0.4 ms of processor time of a wake-up."""
+"""A command does not wake the gate if it repeats a command that was sent less than this many ns earlier. The gate reads
+it at its next tick, before the earlier command expires. Each wake-up that this saves would take 0.2 to 0.4 ms of
+processor time."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
@@ -73,13 +74,13 @@ def unread(fd: int) -> int:
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Ask the service to latch a stop. Every local user may do this. The request is sent at once. The call then
-    returns, or waits at most OWN_WORDS_S for a reason with its own `__str__`. Raises NoService, FailstopError.
+    """Ask the service to latch a stop. Every local user may do this. The request is sent at once. Raises NoService,
+    FailstopError.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`, but can't check who asked. A reason longer than
-    records.ASKED_BYTES is cut. The text from a reason's own `__str__` follows in a second request, unless `__str__`
-    takes longer than OWN_WORDS_S. `row`: the name of a cause in causes.SIGNED, whose remedy people then see; empty for
-    none.
+    records.ASKED_BYTES is cut. If the reason is an object with its own `__str__`, the text from it follows in a second
+    request. The call waits for this text, but at most OWN_WORDS_S. After that, no second request is sent. `row`: the
+    name of a cause in causes.SIGNED. If it is given, people see the remedy for this cause.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -132,8 +133,8 @@ class SeenRun:
     """Shows whether a run of the service has ended, and what its settings declare. This object stays with the run in
     which it was made. Not thread-safe.
 
-    The values do not change during the run, because the supervisor writes them before clients can find the run
-    (supervisor/entry.py).
+    What the settings declare does not change during the run: the supervisor writes it only once, before clients can
+    find the run (supervisor/entry.py).
     """
 
     def __init__(self, name: str) -> None:
@@ -290,8 +291,8 @@ class Client:
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
         """Send a velocity command to the gate, and return at once. `t_ns`: when the command was made (CLOCK_MONOTONIC),
-        by default now. A command that repeats the previous one does not wake the gate (REPEAT_NS). Raises NoService,
-        and ValueError for a source whose name is too long."""
+        by default now. The command does not wake the gate if it repeats a command that was sent less than REPEAT_NS
+        earlier. Raises NoService, and ValueError for a source whose name is too long."""
         command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:

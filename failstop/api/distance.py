@@ -20,8 +20,8 @@ SLACK_S = 0.015
 """The time from the deadline of a silent process until the stop, in seconds. The value comes from the same measurements
 as DEATH_S."""
 SILENCE_S = 0.02
-"""The time from the end of a timeout until the board gets a speed of zero, in seconds, for every kind of board. The
-gate acts at once when most timeouts end. When the timeout of an interlock ends, the gate acts at its next tick."""
+"""The time from the end of a timeout until the board gets a speed of zero, in seconds, for every kind of board. At the
+end of an interlock's timeout, the gate acts only at its next tick. At the end of any other timeout, it acts at once."""
 OWN_LINE_S = 0.012
 """How much later than Hiwonder's board every other board gets a stop, in seconds. The serial line or the loop of
 another board may be slower, or that board may miss the first stop and get a repeat. This value does not cover one case:

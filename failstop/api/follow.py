@@ -19,7 +19,7 @@ WINDOW = 10
 
 
 class Follower:
-    """Reads the state and the events of a service. If the service is restarted, it goes on with the new run."""
+    """Reads the state and the events of a service. After a restart of the service, it reads those of the new run."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService if no service is running, and FailstopError if it can't be read."""
@@ -27,8 +27,8 @@ class Follower:
 
         self.name = name
         self.note = ""
-        """Why read() failed the last time that it failed. A later success does not clear this text. Empty before the
-        first failure."""
+        """The reason for the latest failure of read(). It stays here even after read() has succeeded again. Empty if
+        read() has never failed."""
         self.events: list[Event] = []
         """The newest events of the service's present run, at most 256, the oldest first."""
         self._robot = Robot(name)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 LOOKED_AT = 1000
-"""The most characters of a text that are used. A stop request has room for even fewer."""
+"""How many characters of a text are used; the rest is cut. A stop request has room for even fewer."""
 LONGEST_BITS = 64
 """The longest integer that is converted to text, in bits. Python itself refuses to convert an integer with thousands of
 digits."""

@@ -200,8 +200,8 @@ class Calls(Session):
 
     def samples(self) -> list[Sample]:
         """Return the Imu and Pad samples since the last call, and the newest Odometry. Each sample has a time, and is
-        returned only once. Imu and Pad samples are collected from the first call on, and after a restart of the service
-        again from the next call on. Samples that telemetry reads from the port together have the same time. Raises
+        returned only once. Only the first call begins to collect Imu and Pad samples. After a restart of the service,
+        the next call begins again. Samples that telemetry reads from the port together have the same time. Raises
         NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
@@ -320,9 +320,10 @@ class Robot(Calls):
         otherwise, 2 s at most). After a restart of the service nothing moves until you enable motion again.
 
         Returns Driving, Preempted (by which program) or Blocked (why). In an `if`, only Driving counts as true. drive()
-        waits until the gate lets this source drive, which takes 0.3 ms on an idle machine, but no longer than `wait_s`.
-        It returns at once if this source already drives, a stop is latched, or motion is disabled. If this source was
-        already driving, or if `wait_s` is very short, the answer may still be about your previous command.
+        waits until the gate lets this source drive, but at most `wait_s`. If nothing prevents this source from driving,
+        the gate needs 0.3 ms on an idle machine. drive() returns at once if this source already drives, a stop is
+        latched, or motion is disabled. If this source already drives, or if `wait_s` is very short, the answer may
+        still be about your previous command.
 
         `proven_ns`: the latest time at which the command was certainly wanted (CLOCK_MONOTONIC, ns), by default now.
         The timeout counts from it, so pass it for commands that may be delayed, for example by a network. `manual`:

@@ -1,7 +1,7 @@
 """Session: a program's connection to one service, with the client slot and the requests.
 
-A call that takes time is a generator that yields whenever it must wait. Robot then lets the whole thread sleep,
-AsyncRobot only the task.
+A call that takes time is a generator that yields whenever it must wait. At each yield, Robot lets the whole thread
+sleep, and AsyncRobot lets only the task sleep.
 """
 
 from __future__ import annotations
@@ -30,13 +30,22 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""A call that takes time, as a generator. Whenever it must wait, it yields for how many seconds."""
+"""A call that takes time, as a generator. Whenever it must wait, it yields the number of seconds to wait."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""The words that `Robot.wait_for` accepts. ready: if a stop is latched, `reset()` would succeed; if none is, `enable()`
-would. enabled: motion is enabled. disabled: it is not. latched: a stop is latched. clear: none is. moving: the gate
-commands a velocity. standing: it commands none. still: no velocity is commanded, and the newest reading shows that the
-wheels are still. The reading must be newer than whatever stopped the wheels last."""
+"""The words that `Robot.wait_for` accepts.
+
+- ready: every process is running, and the next request would succeed. The next request is `reset()` if a stop is
+  latched, and otherwise `enable()`.
+- enabled: motion is enabled.
+- disabled: motion is disabled.
+- latched: a stop is latched.
+- clear: no stop is latched.
+- moving: the gate commands a velocity.
+- standing: the gate commands no velocity.
+- still: the gate commands no velocity, and a reading shows that the wheels are still. The reading must be from after
+  the time when the wheels were last stopped.
+"""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
 """How long to wait for the answer to a request, in seconds. The gate normally answers within a tick."""
@@ -137,10 +146,11 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """True if this Robot has enabled motion, and must disable it at its end. False if the program chose
-        disable_on_exit=False. Also False if a program that has driven dies of an exception (`in_order` is False),
-        because the gate then disables motion and reports which driver has died. If the setting gate.driver_death is
-        "stay", the gate does not, so this is True. Raises FailstopError."""
+        """True if this Robot must disable motion at its end, because it has enabled it. False if the program chose
+        disable_on_exit=False. `in_order`: False if the program dies of an exception. If that program has driven, the
+        gate itself ends the motion and reports which driver has died, so the answer is False. But the gate leaves
+        motion enabled if the setting gate.driver_death is "stay", so with that setting the answer is True. Raises
+        FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False

@@ -262,8 +262,8 @@ class Client:
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A source of commands. It is listed until its last command expires, and also if it fell silent while the wheels
-    turned."""
+    """A source of commands. It is listed until its last command expires. If the last driver is a program that stopped
+    sending commands while the wheels turned, its source stays listed, with the state "silent"."""
 
     source: str
     """Its name in the settings, or `gamepad`."""
@@ -478,8 +478,8 @@ class State:
     clients: tuple[Client, ...]
     """The programs that hold client slots."""
     sources: tuple[Source, ...]
-    """The sources whose last command has not expired, and the sources that fell silent while the wheels turned (see
-    `Source.state`). The source with the highest priority comes first."""
+    """The sources whose last command has not expired. A source with the state "silent" (see `Source`) is also listed.
+    The source with the highest priority comes first."""
     scan_age_s: float | None
     """The time since the obstacle sensor last delivered a reading, in s. None if it never has."""
     last_stop: Stop | None
@@ -496,8 +496,8 @@ class State:
     """The battery's voltage, V. None if it was not read yet, if the board reports no battery, or if the board reports
     an impossible voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
-    """plugged: a charger is plugged in. unplugged: none is. unknown: the battery's voltage has not shown it. failstop
-    concludes this from jumps of the battery's voltage."""
+    """Whether a charger is plugged in: plugged, unplugged or unknown. failstop judges this by jumps of the battery's
+    voltage. It is unknown until the first such jump."""
     age_s: float
     """The age of the gate's record, in s. The gate publishes at least every 0.08 s."""
     speed_limit: float = 1.0
@@ -540,7 +540,7 @@ class State:
 
     @property
     def block(self) -> Block | None:
-        """Why the wheels may not turn. None when they may turn."""
+        """Why the wheels may not turn. None if they may turn."""
         return Block.of(self.blocked)
 
     @property

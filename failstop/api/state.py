@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""The units of times in records, each with how many of it make one second. The name of a time ends with its unit, for
-example `written_ms`."""
+"""The units of times in records, and for each unit how many of them are in one second. The name of a time ends with its
+unit, for example `written_ms`."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -174,8 +174,9 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """The commanded angle of the steered wheels, which comes after the wheels' speeds in `speeds`. None on a base
-        without steering, and while no wheel is commanded to turn. The angle means nothing then."""
+        """The commanded angle of the steered wheels. It is the last of `speeds`, after the wheels' speeds. None on a
+        base without steering. Also None while no wheel is commanded to turn, because the angle has no meaning while the
+        wheels stand."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
@@ -346,7 +347,8 @@ class StateReader(SeenRun):
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """What telemetry knows about the wheels. After OLD_READING_NS, a reading no longer shows what the wheels do."""
+        """What telemetry knows about the wheels. A reading that is older than half a second (records.OLD_READING_NS)
+        does not show what the wheels do at present."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -387,8 +389,9 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """Make an object from a record with the names of the object's fields. Times in the record are converted to s.
-    `known`: more fields, by name."""
+    """Make an object of this kind from a record. The values in the record have the same names as the object's fields,
+    except that times are converted to s. Values that are no field of the object are left out. `known`: more fields, by
+    name."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:

@@ -29,8 +29,8 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""For a reset and for an enable, the purposes of the steps that must be done first. Until then, the service refuses the
-request."""
+"""The purposes of the steps that must be done before a reset, and before an enable. While any such step is still to be
+done, the service refuses the request."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 OR_END = "or end it, `failstop enable`, and start it again"

@@ -34,8 +34,8 @@ NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """A text for each state of the connection to the board."""
 UNHEEDED_S = 0.5
-"""In s. A board that has reported zero speed for this long although motion is commanded does not obey. A shorter time
-proves nothing, because the reports come only about every 100 ms, and an adapter may delay a command."""
+"""If motion is commanded, but the board has reported zero speed for at least this many seconds, it does not obey. A
+shorter time proves nothing, because the reports come only about every 100 ms, and an adapter may delay a command."""
 STALE_S = 0.5
 """The age after which a decision of the gate says nothing about the wheels any more, in s. The gate normally publishes
 every 80 ms."""

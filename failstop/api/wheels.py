@@ -19,21 +19,22 @@ if TYPE_CHECKING:
 
 DRIVING = "DRIVING"
 STANDING = "STANDING"
-"""Used instead of STOPPED if the wheels may turn: zero is commanded, and they are seen to be still."""
+"""Zero is commanded, and the wheels are seen to be still. Unlike with STOPPED, nothing blocks the wheels, so a command
+can move them at any time."""
 STOPPED = "STOPPED"
 """Zero is commanded, and the wheels are seen to be still."""
 STOPPING = "STOPPING"
 """Zero is commanded, and the wheels still move. This is normal until the setting still.after_s has passed."""
 TOLD_TO_STOP = "TOLD TO STOP"
-"""Zero is commanded, and nothing shows if the wheels obey."""
+"""Zero is commanded, and nothing shows whether the wheels obey."""
 TURNING = "TURNING"
 """The board reports that the wheels turn, although zero is commanded or commands may not reach the board."""
 MOVED = "MOVED"
 """The IMU feels that the robot moves, although zero is commanded or commands may not reach the board. The robot moves
 by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
-"""A stop may not have reached the wheels, or the newest reading showed that they turn, but that reading is too old to
-rely on."""
+"""It is not known whether the wheels turn. Either commands may not reach the board, or the newest reading is too old to
+rely on and showed that the wheels were turning."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
 """These words are used only on a screen that people read from a distance. Such a screen also uses STOPPED, STOPPING and

@@ -95,8 +95,9 @@ class Heard(Data):
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
     """Yield the attempts to find the board, in order, as (time, kind). `time`: when to try, in ns after the port was
     opened. The first of `boards` comes first, because the user wants it. Boards without questions come next, because
-    failstop writes nothing to them. `resets`: True if opening the port may have reset the board. A kind that hears
-    nothing after a reset then gets a second attempt, when it hears again."""
+    failstop writes nothing to them. `resets`: True if opening the port may have reset the board. Some kinds of boards
+    hear nothing for a while after a reset. If `resets` is True, each such kind gets a second attempt after that
+    time."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -106,11 +107,11 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Try one kind of board after another, until one is found on the port, or only some of its servos answer
-    (Heard.missing). Returns the result of each attempt, with that board's result last. The caller must already have
-    written the stop of the first board. If no board is found at the usual baud rates, the other baud rates of each
-    board are tried too. `strangers`: True to write only the bytes of the first board, and just listen for all others.
-    Raises OSError if the device is gone."""
+    """Try one kind of board after another, until a board of that kind is found on the port. The search also ends if
+    only some servos of a board answer (Heard.missing). Returns the result of each attempt, the last attempt last. The
+    caller must already have written the stop of the first board. If no board is found at the usual baud rates, the
+    other baud rates of each board are tried too. `strangers`: True to write only the bytes of the first board, and just
+    listen for all others. Raises OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Only boards that a Wire describes have other baud rates.
@@ -134,12 +135,13 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice (QUESTIONS), and twice more (MORE_QUESTIONS) if bytes came but no answer. Returns how long the
-    board took to answer, in ms, or None. Raises OSError if the device is gone.
+    """Ask a board until it answers, at most QUESTIONS times. If it has sent bytes but no answer, ask it at most
+    MORE_QUESTIONS more times. These end early if the bytes show that a servo is missing (Tap.missing). Returns how long
+    the answer took, in ms, or None if no answer came. Raises OSError if the device is gone.
 
-    `stop`: False to leave out the board's stop before the first question. If the board has read bytes for another kind
-    of board as the beginning of a packet, the bytes of the stop complete this packet. Then the board reads the
-    question.
+    The stop is written before each question, because the board may have read bytes for another kind of board as the
+    beginning of a packet. The stop completes that packet, so the board can read the question. `stop`: False to leave
+    out the stop before the first question.
     """
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):

@@ -1,14 +1,14 @@
 """The lines that a driver may write to ros_arduino_bridge, and the answers that the driver gets.
 
 The lines are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122). The command is the last byte
-before the first space. Two arguments follow, each after one space, and further spaces change nothing. A CR ends the
-line, and the board then executes it, even if an argument is missing. Numbers are read as atoi() reads them, into 16
-bits. A line with an argument of more than 15 bytes is refused, because on the board the argument would overwrite the
-memory next to it.
+before the first space. The first space begins the first argument, and the second space begins the second argument. All
+later spaces are ignored. When a CR ends the line, the board executes it, even if an argument is missing. Numbers are
+read as atoi() reads them, into 16 bits. A speed or a pin is refused if an argument has more than 15 bytes, because on
+the board this argument would overwrite the memory next to it.
 
-Every line gets one answer, in order. A refused line gets the answer that the board would give. Without the right answer
-to `e`, diffdrive_arduino reads the counts as 0 0. Until hbrobotics' node gets `OK` to u, r, w, x, c, s or m, it sends
-the command again, forever.
+Every line gets one answer, in order. A refused line also gets an answer in the board's form. Without the right answer
+to `e`, diffdrive_arduino reads the counts as 0 0. hbrobotics' node repeats u, r, w, x, c, s and m until it gets the
+answer `OK`, however long this takes.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _LOST_NS = 100_000_000
 """How long a question for the counts, caused by a driver's `e`, may stay unanswered, in ns. Until then, another `e`
 causes no new question. After that, the question counts as lost."""
 _STEADY_NS = 200_000_000
-"""The driver's next `e` is answered with the counts that the board reported after its previous `e`, if they are younger
-than this, in ns. Otherwise it is answered with the newest counts."""
+"""An `e` is answered with the counts that the board reported after the driver's previous `e`. If these counts are older
+than this many ns, the `e` is answered with the newest counts instead."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"

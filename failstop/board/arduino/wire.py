@@ -1,11 +1,11 @@
-"""The Wire that describes ros_arduino_bridge. A CR comes before each stop, and failstop limits how many lines may be
-unanswered, because the board can hold only a few answers.
+"""The Wire that describes ros_arduino_bridge. failstop limits how many lines may be unanswered, because the board can
+hold only a few answers.
 
-The board answers a stop with 21 bytes, three times the length of the stop, and the question for positions with 25
-bytes. While 63 bytes of answers wait to be sent, the firmware reads no lines. Its receive buffer also holds 63 bytes,
-and drops the bytes that come when it is full. These could be a stop, or the sign and the space between two numbers. If
-at most two lines wait for an answer, nothing is lost, even if 15 stops arrive without a gap
-(tests/board/test_stop_of_every_board.py). Three writers together repeat no more than 15 stops.
+The board answers a stop with 21 bytes, three times the length of the stop. It answers the question for positions with
+25 bytes. While 63 bytes of answers wait to be sent, the firmware reads no lines. Its receive buffer also holds 63
+bytes. While that buffer is full, the bytes that arrive are lost. The lost bytes could be a stop, or the sign and the
+space between two numbers. If at most two lines wait for an answer, nothing is lost, even if 15 stops arrive without a
+gap (tests/board/test_stop_of_every_board.py). Three writers together repeat no more than 15 stops.
 
 The USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR). A clone has the identity of
 its adapter chip, so clones are not listed.
