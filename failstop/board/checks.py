@@ -1,4 +1,4 @@
-"""Checks: check the values that an encoder puts into a frame.
+"""Checks for the values that an encoder puts into a frame.
 
 Each check raises FrameError for a value that must not reach the board.
 """
@@ -51,7 +51,8 @@ def group(field: str, value: Sequence[object], size: int) -> None:
 
 
 def distinct(field: str, ids: Sequence[int]) -> None:
-    """Raise FrameError if an id appears twice, because then only the later value would count."""
+    """Raise FrameError if an id appears twice. In a frame that sets values, only the later of the two values would
+    count."""
     for at, value in enumerate(ids):
         if value in ids[:at]:
             raise FrameError(f"{field} {value} appears twice, must appear at most once")

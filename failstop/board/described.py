@@ -179,11 +179,12 @@ class Described(Board):
         return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Check a motion frame with the check of the description. The limit is converted to the board's unit."""
+        """Return the reason to refuse a motion frame, or "" to accept it. The description's own check decides. It gets
+        the limit in the board's unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds of all wheels in a motion frame."""
+        """Return the speeds of all wheels in a motion frame, in turns per second. None for other bytes."""
         found = self._motion.speeds(frame)
         return None if found is None else tuple([speed / self.per_rps for speed in found])
 
@@ -195,8 +196,9 @@ class Described(Board):
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """Return the frame with the mark for this turn, so that some frames are slightly slower. Without Motion.marked
-        in the description, return the frame unchanged."""
+        """Return the frame to write when the same motion is sent for the `turn`th time. Motion.marked in the
+        description makes some of these frames slightly slower. Without Motion.marked, the frame is returned
+        unchanged."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
@@ -207,8 +209,9 @@ class Described(Board):
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """Check an extra frame, for example one for a light, with the description's function `aux`. Without this
-        function no frame passes. A motion frame never passes."""
+        """Return the reason to refuse an extra frame, for example one for a light, or "" to accept it. The
+        description's function `aux` decides. A motion frame is always refused. If there is no `aux`, every frame is
+        refused."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"
         try:

@@ -204,8 +204,8 @@ class Finder:
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember which other devices are present together with the board. None of them is taken for the board if it
-        is lost."""
+        """Remember which other devices are present together with the board. If the board is lost, a device that stays
+        in its socket is not taken for the board."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 

@@ -31,7 +31,7 @@ COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
 """Stops that several processes write within this time, in ns, count as one stop, because they have the same cause."""
 MARGIN_NS = 100_000_000
-"""How much earlier than its set time a board's own watchdog may act, in ns."""
+"""A board's own watchdog may act this much earlier than at its set time, in ns."""
 
 
 class Answers:
@@ -46,8 +46,8 @@ class Answers:
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
         """Match an answer with the earliest open question that it fits. `indices`: the questions that have this answer.
-        Returns when the matched question was asked, in ns, or 0 if there is none. Closes this question, and all earlier
-        ones, because their answers were lost."""
+        Returns the time when the matched question was asked, in ns, or 0 if the answer fits no open question. Closes
+        the matched question. Closes all earlier questions too, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -64,13 +64,14 @@ class Echo:
     """Finds out from the board's reports which stop the board obeys. This is for a board without pings.
 
     The board's report of the command that it obeys is called an echo. An echo of zeros proves a stop only if an echo of
-    motion came before it, because a board whose command wire is broken also reports zeros. So does a board whose own
-    watchdog has acted. So the motion must have been written so recently that the watchdog can't have acted yet.
+    motion came before it, because a board whose command wire is broken also reports zeros. A board whose own watchdog
+    has acted reports zeros too. So the motion must also have been written so recently that the watchdog can't have
+    acted yet.
     """
 
     def __init__(self, fades_ns: int) -> None:
-        """`fades_ns`: after how many ns without a frame the board's own watchdog sets the command to zero. 0 if the
-        board has no watchdog."""
+        """`fades_ns`: if no frame comes for this time, in ns, the board's own watchdog sets the command to zero. 0 if
+        the board has no watchdog."""
         self._fades_ns = max(1, fades_ns - MARGIN_NS) if fades_ns else 0
         self._open: deque[tuple[tuple[float, ...], int]] = deque(maxlen=COMMANDS_KEPT)
         self._written: tuple[float, ...] | None = None
@@ -89,9 +90,9 @@ class Echo:
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle the board's report that it obeys a command with these speeds. Returns when the stop that this proves
-        was written, in ns, or 0 if it proves no stop. `others_ns`: when each other process wrote its newest stop, in
-        ns."""
+        """Handle the board's report that it obeys a command with these speeds. If the report proves a stop, returns the
+        time when this stop was written, in ns. Otherwise returns 0. `others_ns`: the times, in ns, when the other
+        processes wrote their newest stops."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -145,7 +146,8 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """When failstop wrote the last motion, in ns, if the board's own watchdog has ended it. Otherwise 0."""
+        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
+        Otherwise 0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
@@ -159,9 +161,10 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Handle a report that came at `came_ns`. Returns the time, in ns, up to which the report newly proves that the
-        board has handled every write. Returns 0 if it proves nothing new. If the last command up to that time was a
-        stop, the board has received it. `others_ns`: when each other process wrote its newest stop, in ns."""
+        """Handle a report that came at `came_ns`. If the report proves that the board has handled every write up to a
+        certain time, returns this time, in ns. If the last command up to this time was a stop, the board has received
+        the stop. Returns 0 if the report proves nothing new. `others_ns`: the times, in ns, when the other processes
+        wrote their newest stops."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -26,7 +26,8 @@ HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_W
     range(9)
 )
 HEARD_ODD, HEARD_RESTARTED, HEARD_FIRMWARE = 9, 10, 11
-"""The kinds of reports that a Hearing returns."""
+"""The kinds of reports that a Hearing returns are these three, and HEARD_IMU to HEARD_HEALTH. Hearing says what each
+kind contains."""
 BUTTONS = {
     "L2": 0x0001,
     "R2": 0x0002,
@@ -50,7 +51,7 @@ BY_IMU, BY_WHEELS = "IMU", "wheels"
 
 
 class WheelReports(Data):
-    """How to read one board's reports about the wheels (HEARD_WHEELS), in this robot's units."""
+    """How often one board's reports about the wheels (HEARD_WHEELS) come, and what their numbers mean on this robot."""
 
     every_ns: int
     """The longest time between two reports of a healthy board while the service runs, in ns. 0 if the board does not
@@ -127,9 +128,9 @@ class ServoBus:
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Return the frame that moves a few servos, each given as (id, pulses). The move takes `duration_ms`. If that
-        frame would be dangerous when cut short, the move takes another time, up to `longest_ms` (0 means
-        servos.LONGEST_MOVE_MS). Raises FrameError."""
+        """Return the frame that moves a few servos, each given as (id, pulses). The move takes `duration_ms`. If the
+        frame for this duration would be dangerous if it was cut short, the move gets another duration, up to
+        `longest_ms` (0 means servos.LONGEST_MOVE_MS). Raises FrameError."""
         raise NotImplementedError
 
     def read(self, servo: int, what: int) -> bytes:
@@ -190,8 +191,8 @@ class Board:
     name: str
     """The name of the board for people, for example "an Arduino with ros_arduino_bridge"."""
     port: Port
-    """How the board's serial port is set up, how long the board hears nothing after the port was opened, and which
-    frames are then written first. Motion can't be enabled until these frames were written."""
+    """How the board's serial port is set up, and how long the board hears nothing after the port was opened. Also the
+    frames that are written first after this time. Motion can't be enabled until these frames were written."""
     idle_ns: int
     """How long the line must be silent between a write and the next frame that is not a stop, in ns. 0 if frames may
     follow each other without a gap. A stop does not wait for this."""
@@ -224,13 +225,14 @@ class Board:
     asked. The answer also proves that the board received this ping whole. If the board can't be asked, this is empty,
     the state of the link is `unasked`, and nothing waits for an answer."""
     ping_ns: int
-    """The longest time between two pings, in ns, with which stops of this board can be proved. 0 means any time."""
+    """The time between two pings may be at most this, in ns. If it is longer, stops of this board can't be proved in
+    time. 0 means that there is no limit."""
     echo_ns: int
     """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
     board makes no such reports. If the board makes such reports, a stop is acknowledged only after a report of zeros.
     An answer to a ping is not enough."""
     silent_ns: int
-    """How long a pause, in ns, in the board's reports about its wheels or its IMU must be to count as a sign that the
+    """If the board's reports about its wheels or its IMU pause for this long, in ns, this counts as a sign that the
     board has restarted. 0 if the board reports nothing."""
     arming: bytes
     """The frame that sets the board's own watchdog. Each time motion is enabled, this frame is written before the first

@@ -1,5 +1,8 @@
-"""Kept: the stop of your own board as plain numbers and bytes, which the service keeps in its runtime directory. With
-it, `failstop stop` works even if the board's description, a program, is broken."""
+"""Kept: the stop of your own board as plain numbers and bytes, which the service keeps in its runtime directory.
+
+The description of your own board is a program, so it may be broken. With the kept stop, `failstop stop` works even
+then.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Kinds: the kinds of boards that failstop knows. A folder describes each kind: one in failstop/board, or your own."""
+"""Kinds: the kinds of boards that failstop knows. Each kind has a folder that describes it. The folder is
+in failstop/board, or it is your own."""
 
 from __future__ import annotations
 

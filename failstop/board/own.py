@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 OWN_PACKAGE = "failstop_own_board"
 """The package name under which Python imports the folder's modules."""
 SAYS = b"VOCABULARY = "
-"""How the line begins that says for which version of failstop/board/wire.py the description was written."""
+"""The beginning of the line that names the version of failstop/board/wire.py for which the description was written."""
 LIMIT_S = 5.0
 """How long it may take to load and test the modules of your own board, in s. For the boards that failstop describes
 itself, this takes 20 ms."""
@@ -176,8 +176,8 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """Return the child's report. Empty if the child ended without a report. None if nothing happened before `until_s`
-    (time.monotonic())."""
+    """Return the child's report. Empty if the child ended without a report. None if the child neither reported nor
+    ended before `until_s` (time.monotonic())."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -240,8 +240,8 @@ _FINDER = _Modules()
 
 
 def _modules(folder: str) -> _Modules:
-    """Return the finder, set to this folder. The modules of any other folder are unloaded, because a process uses only
-    one such folder at a time."""
+    """Set _FINDER to this folder, and return it. _FINDER imports the folder's modules. The modules of any other folder
+    are unloaded, because a process uses only one such folder at a time."""
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
     if _FINDER.folder != folder or OWN_PACKAGE not in sys.modules:

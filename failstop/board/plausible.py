@@ -3,7 +3,7 @@
 A board may report impossible values, for example because its battery is not connected, its memory is garbled, or the
 reader of your own board has a bug. An impossible value is neither passed on nor clamped. It counts as not reported and
 becomes HEARD_ODD, which the service logs once. So later code can rely on finite numbers within the limits below. For an
-impossible battery voltage, HEARD_BATTERY with 0 mV is reported too: no battery is connected.
+impossible battery voltage, HEARD_BATTERY with 0 mV is reported too. It means that no battery is connected.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
 
 
 def finite(value: object, most: float) -> float:
-    """Return the value as a float from -most to most. Raises OverflowError for an integer that no float can hold, and
-    ValueError for any other value. A bool is not a number."""
+    """Return the value as a float. Raises ValueError if the value is not a number from -most to most, and OverflowError
+    if it is an integer that no float can hold. A bool is not a number."""
     if isinstance(value, bool) or not hasattr(value, "__float__"):
         raise ValueError("not a number")
     number = float(value)
@@ -62,7 +62,8 @@ def finite_numbers(values: Iterable[object], most: float, least: int, count: int
 
 
 def whole_number(value: object, least: int, most: int) -> int:
-    """Return the value as an integer. Raises one of IMPOSSIBLE."""
+    """Return the value as an integer. Raises ValueError if it is not an integer from `least` to `most`. A bool is not
+    an integer."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise ValueError("not an integer")
     number: int = value.__index__()

@@ -227,8 +227,8 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """Try to lock the port. Returns False while a service has the port. Then leave the baud rate alone, because another
-    rate would garble the service's frames."""
+    """Try to lock the port. Returns False if a service has the port. In this case leave the baud rate alone, because
+    another rate would garble the service's frames."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

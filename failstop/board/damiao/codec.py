@@ -11,7 +11,8 @@ The CAN id of a frame shows what the frame does:
 - 0x7ff names a motor and a command: 33 reads a register, 55 writes one, cc asks for a report. A written register keeps
   its value until the power goes off.
 
-A motor answers every frame with a report of its status and id, position, speed, torque and temperatures.
+A motor answers a question for a register with the register's value, and confirms a register that was written. It
+answers every other frame with a report of its status and id, position, speed, torque and temperatures.
 
 A stop is a speed of zero: the motor brakes and holds. Disabling it would let it roll.
 
@@ -89,7 +90,7 @@ MISSES = 4
 lost answers are normal. For example, while a CANable sends one answer to the computer, it drops the answers that come
 from the motors."""
 REPORT_EVERY = 20
-"""After how many answered questions the temperatures are reported again. This is about once a second."""
+"""The temperatures are reported once for this many answered questions, which is about once a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
 """A reported speed is a number from 0 to 4095. _MIDDLE means that the motor is at rest. It is halfway between two
@@ -98,7 +99,7 @@ may be noise, so it also counts as rest."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
-    """Return the line that reads or writes a register of a motor, or asks for its report."""
+    """Return the line that reads or writes a register of a motor, or asks for the motor's report."""
     return slcan.line(REGISTERS_ID, bytes((motor, 0, what, index)) + _COUNT.pack(value))
 
 
@@ -172,9 +173,9 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def check_aux(self, frame: bytes) -> str:
-        """Say why these bytes must not be written as a frame that is not motion. Returns "" if they read one of the
-        registers 0 to MOST_REGISTER. If a question for a higher number lost two characters, the motor could read the
-        rest as a command to write a register."""
+        """Say why these bytes must not be written as a frame that is not motion. Returns "" if the bytes ask a motor
+        for one of the registers 0 to MOST_REGISTER. Higher numbers are refused: if such a question lost two characters,
+        the motor could read the rest as a command to write a register."""
         found = slcan.frame_of(frame[:-1])
         if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
@@ -200,7 +201,8 @@ class _Motor:
         self.off = 0
         """How many of the motor's reports in a row say that it does not obey."""
         self.set = False
-        """True if Motors.arm has set the motor's registers, so they should still have the values that it sets."""
+        """True after Motors.arm has set the motor's registers, until the motor has lost one of these values or is
+        off."""
         self.differs = {TIMEOUT: 0, MODE: 0}
         """How many answers in a row differ from the value that was set, for the registers TIMEOUT and MODE."""
         self.wrong = self.heat = self.misses = 0
@@ -300,8 +302,9 @@ class Replies(Reader):
                 motor.misses += number_ not in self._answered
 
     def _wheels(self) -> list[Sample]:
-        """Return the speeds of all motors. Returns an empty list until each motor has reported its scale (V_MAX), and a
-        new speed since the last returned speeds."""
+        """Return the speeds of all motors. Returns an empty list until each motor has reported V_MAX, the scale of its
+        speeds. Also returns an empty list until each motor has sent a new report since the speeds were last
+        returned."""
         every = list(self._motors.values())
         speeds: list[float] = []
         for motor in every:

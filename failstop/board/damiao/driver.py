@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 PATIENCE_NS = 1_000_000_000
 """How long damiao-motor waits for an answer about a register, in ns."""
 PAST_NS = 1_000_000_000
-"""How far back a new DamiaoDriver gets the bytes that the motors sent before the driver opened the port, in ns. Every
+"""A new DamiaoDriver first gets what the motors sent in the last PAST_NS ns before the driver opened the port. Every
 motor sends at least one report in this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
 _LONGEST = 30
-"""A CANable keeps at most this many characters of a line. If the line goes on, it drops them all, and reads the rest of
-the line as a new line."""
+"""A CANable keeps at most this many characters of a line. If a line is longer, the CANable drops all these characters,
+and reads the rest of the line as a new line."""
 _PREFIX = b"\xff" * 7
 _CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 _MIT, _POSITION, _FORCE = 0, 1, 3
@@ -105,8 +105,8 @@ class DamiaoDriver:
 
     def _run(self, line: bytes) -> list[Row]:
         """Handle one line, without its carriage return. An empty line does nothing here, although it makes a CANable
-        repeat its newest command. A line of zeros does nothing either. The adapter may split a long one into several
-        lines, but no line of zeros is a command."""
+        repeat its newest command. A line of zeros does nothing either. The adapter may split a long line of zeros into
+        several lines, but no line of zeros is a command."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []
@@ -193,8 +193,9 @@ class DamiaoDriver:
         return [DriverRefusal(what_for, "it was not passed on")]
 
     def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
-        """Handle the driver's command to write a register. failstop has already set the speed mode and the watchdog's
-        time, so both are answered as if the motor had accepted them. All other values are refused."""
+        """Handle the driver's command to write a register. failstop itself has set the speed mode and the watchdog's
+        time. So a command to set either of them is not passed on, but answered as if the motor had accepted it. A
+        command for any other mode or register is refused. Another mode also stops the wheels."""
         if index == codec.TIMEOUT:
             refused = DriverRefusal(
                 "the time of the motors' watchdog", "failstop sets it itself: this was only answered"

@@ -7,8 +7,9 @@ normaldotcom/canable-fw 8ca5d39 and canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c)
 A line has no checksum, and the two CANables execute whatever comes before a carriage return. They complete a cut line
 with digits of the line before it. An empty line makes them repeat the last command. So FLUSH comes before each stop.
 FLUSH is longer than any line that these adapters keep, so they drop a cut line before it. An adapter that keeps longer
-lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster and keeps its
-direction. In a little-endian float the sign and the exponent come last, so they are the first to become 0.
+lines completes the cut line with the zeros of FLUSH instead. Even then, a cut speed gets no faster. In a little-endian
+float the sign and the exponent come last, so they are the first to become 0. If the sign becomes 0, the exponent does
+too, and the speed is almost 0.
 """
 
 from __future__ import annotations

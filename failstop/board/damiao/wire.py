@@ -1,8 +1,9 @@
 """The Wire that describes Damiao's motors behind a slcan adapter. Each write has a line for every motor.
 
-A stop is one write, so a process that dies can't have stopped only some of the motors. If the kernel takes only a part
-of the write, the next burst of any process stops the other motors. A stop is always for four motors, because `failstop
-stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist does nothing.
+A stop is one write for all motors, so a process can't die after it has stopped only some of them. If the kernel takes
+only a part of the write, the next burst of any process stops the other motors. A stop is always for four motors,
+because `failstop stop` and `failstop setup` may not know how many there are. A line for a motor that does not exist
+does nothing.
 
 A stop can't reach a motor that hears nothing, for example because its CAN plug is out. Such a motor is stopped by its
 own watchdog. While one motor does not answer, stops do not count as acknowledged, and motion can't be enabled.
@@ -120,4 +121,4 @@ def wire(speeds: int, _can_id: int = 0) -> Wire:
 
 
 WIRE = wire(0)
-"""The description for two motors. It is used until the settings, which have the true number, are known."""
+"""The description for an unknown number of motors. It asks two motors, and stops four."""

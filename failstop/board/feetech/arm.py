@@ -71,8 +71,8 @@ class FeetechArm(ServoBus):
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Return the packet that asks one to three servos for their positions at once (a sync read). Three is as many
-        as in a question to the wheels."""
+        """Return the packet that asks one to three servos for their positions at once (a sync read). Raises FrameError
+        for more than three servos. A question to the wheels asks three too."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
@@ -92,8 +92,8 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Say why a frame must not be written. Returns "" if it may: this class makes the same bytes from the frame's
-        fields, and all its servos are among `servos`."""
+        """Say why a frame must not be written. Returns "" if this class makes exactly these bytes from the frame's
+        fields, and all servos in the frame are among `servos`."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError

@@ -32,8 +32,8 @@ TURN = 4096
 """How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""How many bytes of each wheel's memory failstop's two questions to the wheels read, beginning at the goal speed. An
-answer does not name its question, but its length shows which question it was."""
+"""failstop has two questions to the wheels. They read this many bytes of each wheel's memory, beginning at the goal
+speed. An answer does not name its question, but its length shows which question it was."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """The questions to a servo of the arm, each with the address and the size that it reads. The size of an answer shows
 which question it belongs to. The question for the position also reads the load and the temperature, which come after
@@ -109,9 +109,9 @@ part, so a servo never reads the bytes after FILLER as a speed in the cut packet
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
 """The bytes with which failstop stops the wheels: seven stops, with FILLER before each. If a packet before the burst
-was cut short, the servos still receive the first stop. If a servo is sending an answer, this garbles the first stops,
-but the servos receive the stops after the answer. If a servo has read a garbled length, it takes up to 255 bytes of the
-burst for the rest of that packet, and then receives a stop."""
+was cut short, the servos still receive the first stop. If a servo is sending an answer, the answer garbles the first
+stops, but the servos receive the stops after the answer. If a servo has read a garbled length, it takes up to 255 bytes
+of the burst for the rest of that packet, and then receives a stop."""
 
 BEFORE_QUESTION = FILLER * 2
 """Zeros that come before each question. A servo that has read a garbled length takes up to 255 bytes for the rest of

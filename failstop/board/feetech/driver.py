@@ -29,9 +29,9 @@ PATIENCE_NS = 34_000_000
 """How long a host waits for an answer, in ns. This is the timeout of feetech-servo-sdk; LeRobot waits for 50 ms. From a
 late answer on, the host would match every answer with the wrong question."""
 PAST_NS = 4_000_000_000
-"""How far back a new FeetechDriver gets the bytes that the servos sent before the driver opened the port, in ns. This
-is enough for every joint to report its position, because the service asks a joint at rest only about every two seconds.
-A host asks for the positions as soon as it has opened the port."""
+"""A new FeetechDriver first gets what the servos sent in the last PAST_NS ns before the driver opened the port. In this
+time every joint reports its position, because the service asks even a joint at rest about every two seconds. A host
+asks for the positions as soon as it has opened the port."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"

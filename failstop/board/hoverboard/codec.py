@@ -82,8 +82,9 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""While failstop repeats the same motion, it slows the frames by these numbers of units in turn. After a lost slowed
-frame, the next slowed frame has the other number, so a report of it can't be taken for a report of the lost frame."""
+"""While failstop repeats the same motion, it slows the frames by these numbers of units in turn. Each slowed frame
+differs from the slowed frame before it. So if a slowed frame is lost, a report of the next one can't be taken for a
+report of the lost one."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:

@@ -33,7 +33,7 @@ _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
 """The place in a frame where the check begins. failstop refuses a frame with another start before this place. The check
-itself may look like a start, because it equals one whenever steer and speed are equal."""
+itself may look like a start, because it has the value of the start whenever steer and speed are equal."""
 _TOGETHER_NS = 20_000_000
 """How long failstop waits for the rest of a frame before it drops the frame, in ns. An adapter may hold bytes back for
 16 ms, so this is longer. The board itself drops an incomplete frame as soon as the line is idle."""

@@ -81,10 +81,11 @@ class Feedback(Reader):
 
 
 def _rpm(word: int) -> float:
-    """Return the average of the speeds, in rpm, for which the firmware sends this word of the feedback. The firmware
-    truncates a speed towards zero to sixteenths of an rpm, and then rounds it down to whole rpm (BLDC_controller.c,
-    commit a0751d5). Below 5 rpm it sends 0. Without the average, the right wheel would seem 1 rpm faster than the left
-    one when the robot drives straight, because the right motor is mounted the other way round."""
+    """Convert a speed in the feedback to rpm. The firmware sends the same word for a range of speeds, and this returns
+    their average. The firmware truncates a speed towards zero to sixteenths of an rpm, and then rounds it down to whole
+    rpm (BLDC_controller.c, commit a0751d5). Below 5 rpm it sends 0. Without the average, the right wheel would seem 1
+    rpm faster than the left one when the robot drives straight, because the right motor is mounted the other way
+    round."""
     if not word:
         return 0.0
     return word + (8 / 16 if word > 0 else 7 / 16)

@@ -1,5 +1,5 @@
-"""The Wire that describes a hoverboard. The line must be silent before and after a stop, and each writer repeats the
-stop at different times.
+"""The Wire that describes a hoverboard. The line must be silent before and after a stop, and each writer repeats its
+stop at times of its own.
 
 The board looks at the bytes that it has received whenever the line falls idle. It accepts exactly eight bytes, and
 drops any other number. So two frames without a gap between them are both dropped. The board also looks whenever it has
