@@ -1,7 +1,7 @@
 """Servos: the commands to an arm's servos, and the time limits that every board keeps.
 
 A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
-and a long way is a stream of short moves.
+and a longer movement is made of many short moves.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ MOST_MOVES = HELD_NS // MOVE_NS
 
 class ServoAnswer(Sample, Data):
     """A servo's answer: the servo's id, the question (one of READS), and the value. A position is in pulses, a supply
-    in mV, and a temperature in degrees Celsius. A torque is 1 if it is on. Any other value of 0 means that nothing was
-    read, because some boards answer 0 for a silent servo."""
+    in mV, and a temperature in degrees Celsius. A torque is 1 (on) or 0 (off). A position, supply or temperature of 0
+    means that nothing was read, because some boards answer 0 for a silent servo."""
 
     servo: int
     what: int

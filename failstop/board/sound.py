@@ -253,7 +253,8 @@ def _motion(wire: Wire) -> None:
 
 def _refusals(wire: Wire) -> None:
     """Check that motion.frame() refuses impossible speeds, and that motion.check() refuses bytes that are not a motion
-    frame. If a changed bit in the frame of zeros passes, its speeds must be within the limit."""
+    frame. The bits of the frame of zeros are also changed, one at a time. If motion.check() accepts such a changed
+    frame, its speeds must be within the limit."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -277,7 +278,8 @@ def _refusals(wire: Wire) -> None:
 
 
 def _frames(wire: Wire) -> None:
-    """Check that no question and no opening frame sets a speed, and that no question passes as a motion frame."""
+    """Check that no question and no frame in `port.opening` sets a speed other than zero, and that no question passes
+    as a motion frame."""
     asks = [(f"WIRE.questions[{at}].ask", question.ask) for at, question in enumerate(wire.questions)]
     for name, frame in asks + [(f"WIRE.port.opening[{at}]", frame) for at, frame in enumerate(wire.port.opening)]:
         told = _speeds(wire.motion, frame)

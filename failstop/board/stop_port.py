@@ -28,8 +28,8 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""For how long burst() writes nothing after early_stop() has written a whole stop, in ns. Otherwise the loop of the
-same process, which early_stop()'s thread wakes, would write the same stop again at once."""
+"""If early_stop() has written a whole stop, burst() writes nothing for this long, in ns. Otherwise the loop of the same
+process, which early_stop()'s thread wakes, would write the same stop again at once."""
 
 
 class StopPort:
@@ -45,9 +45,9 @@ class StopPort:
         """The time from which the line has been silent long enough for the board, in ns. What other processes have
         written is not counted. 0 if the board needs no silence."""
         self._line_ns = 0
-        """The earliest time for this process's next stop, in ns. 0 if a stop may be written at once. Until this time,
-        the newest stop is still on the line, or the line must be silent after it, or early_stop() has just written it.
-        On some boards, a second stop before this time would garble both stops."""
+        """The earliest time for this process's next stop, in ns. 0 if a stop may be written at once. On some boards, a
+        second stop before this time would garble both stops: the first one is still on the line, or the line must be
+        silent after it. The time is also set when early_stop() has written a whole stop (EARLY_NS)."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
@@ -61,7 +61,8 @@ class StopPort:
 
     def early_stop(self) -> None:
         """Write the burst up to the end of its first stop frame. The thread that notices a death calls this, because it
-        is faster than the loop. The thread also wakes the loop, which then writes the whole burst."""
+        is faster than the loop. The thread also wakes the loop. The loop then writes the whole burst, unless the early
+        stop was already a whole stop."""
         with self._writing:
             if self.fd >= 0:
                 self._write_early()

@@ -86,8 +86,8 @@ class Tap:
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """Return the time when the earliest ping that fits this answer was written, in ns. 0 if no ping fits. This ping
-        and all earlier pings are then closed (see handled.py)."""
+        """Return the time when the earliest ping that fits this answer was written, in ns. 0 if no ping fits. Later
+        answers are not matched with this ping or with earlier pings (see handled.py)."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
@@ -104,9 +104,9 @@ class Tap:
 
     def zeros_ms(self, timeout_s: float) -> float | None:
         """Wait until a board without pings reports that its present command is zero, and return how long that took, in
-        ms. None if no such report came in time. Reports within the first `echo_ns` of the board don't count, because
-        they may be about an older command. This proves little, because a board that hears nothing reports zeros too.
-        Raises OSError."""
+        ms. None if no such report came in time. Reports that come less than the board's `echo_ns` after the call don't
+        count, because they may be about an older command. A report of zeros proves little, because a board that hears
+        nothing reports zeros too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:

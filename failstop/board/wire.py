@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from failstop.board.interface import ServoBus, SteeringFrames
 
 VOCABULARY = 1
-"""The version of this vocabulary. A change of the vocabulary raises it if the change makes failstop refuse a
-description that was valid before, or gives such a description another meaning."""
+"""The version of this vocabulary. Raise it if you change the vocabulary and failstop then refuses a description that
+was valid before, or such a description gets another meaning."""
 
 ZERO = "zero"
 """The value of Watchdog.does for a watchdog that brakes the wheels to rest."""
@@ -81,11 +81,11 @@ class TimedStop(Data):
     """How long the line must be silent after the last byte of the stop, in ns."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """The times at which each writer writes the stop, in ns after its first stop. The first row is for the port owner,
-    the second for the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and goes
-    on with the times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line.
-    Some boards drop two stops that touch. For such a board, give each row different times, so that the next stops of
-    the two writers do not touch. Also let each row go on for more than 0.3 s, because an adapter may stall for that
-    long, and then sends all the stops that it has kept without gaps."""
+    the second for the stopper and the third for the supervisor. A row begins with 0, which is the first stop, and then
+    has the times of the repeats. The writers can't see each other's bytes, so their stops may touch on the line.
+    Some boards drop two stops that touch. For such a board, give each row different times. If the stops of two writers
+    touch, the next stops of these writers then don't touch. Also let the last time of each row be above 0.3 s, because
+    an adapter may stall for that long. It then sends all the stops that it has kept, without gaps."""
 
 
 class Pace(Data):
@@ -102,7 +102,7 @@ class Watchdog(Data):
     crashed or the cable was pulled."""
 
     after_ns: int
-    """How long after the last motion the watchdog acts if nobody has set its time since the board started, in ns. 0
+    """How long after the last motion the watchdog acts, in ns, if nobody has set its time since the board started. 0
     means that it does not act until its time is set (set_ns)."""
     does: str
     """What the watchdog does to the wheels: ZERO, COAST or DISARM."""
@@ -154,9 +154,10 @@ class Motion(Data):
     """A function (frame) that returns the speeds which a motion frame sets, or None for other bytes. It never raises on
     bytes."""
     marked: Callable[[bytes, int], bytes] | None = None
-    """A function (frame, turn) for a board that has no questions. It marks a motion frame: depending on the turn, it
-    returns the frame unchanged or a few steps slower. So the frames differ even if failstop sends the same motion
-    again, and the board's report of the command that it obeys shows which of the frames it has received."""
+    """A function (frame, turn) for a board that has no questions. `turn` says how many times failstop has sent the same
+    motion again. Depending on `turn`, the function returns the motion frame unchanged or a few steps slower. So the
+    frames differ while the motion stays the same, and the board's report of its present command shows which of the
+    frames the board has received."""
     scale_known: bool = False
     """True if the board itself fixes the result of `per_rps`, so it is the same for every robot. False if it depends on
     the robot's motors and encoders, so it is only a guess until somebody confirms it by turning a wheel
@@ -276,13 +277,13 @@ class Reports(Data):
     """The longest time between two reports of a healthy board while the service runs, in ns."""
     speed_per_rps: Callable[[float, float], float] | None
     """A function (per_rps, wheel diameter in m) that returns how many units of the reported speeds make one wheel turn
-    per second. `per_rps` is how many units of the commanded speeds do. None if the board reports no speeds."""
+    per second. `per_rps` is the same number for the commanded speeds. None if the board reports no speeds."""
     position_per_turn: Callable[[float, float], float] | None
     """A function (per_rps, wheel diameter in m) that returns how much a position grows in one turn of its wheel. None
     if the board reports no positions."""
     wraps: float
     """The size of the range of the positions, which goes from minus half of this to plus half of this. Beyond one end,
-    positions go on from the other end. 0 means that positions never wrap around."""
+    positions continue at the other end. 0 means that positions never wrap around."""
     holds_speed: bool
     """True if the board measures the speed of each wheel and holds the commanded one. False if it only sets a voltage,
     so a wheel may turn faster downhill and slower uphill."""
@@ -310,8 +311,8 @@ class Wire(Data):
     """The proofs of a stop that the board can give: ANSWERED, ECHOED, OBSERVED. WRITTEN is not listed, because it needs
     nothing from the board."""
     ping_ns: int
-    """The longest time between two questions with which the board still gives its proofs of a stop in time, in ns. 0
-    means that any time will do."""
+    """The longest time that may pass between two questions, in ns. With a longer time, the board would give its proofs
+    of a stop too late. 0 means that any time will do."""
     echo_ns: int
     """The longest time from the write of a command to the board's report that it obeys this command, in ns. 0 if the
     board makes no such reports."""
@@ -341,8 +342,8 @@ class Wire(Data):
     short, and may delay the next frame by 30 ms at most. None if the board gets no extra frames."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
     """A function (all settings by their full keys) that returns an object which reads what a driver program writes to
-    the guard port (DriverLanguage in driver.py). Import the module with the class of this object inside the function,
-    because no process of the service needs it. None if nobody has described this for the board."""
+    the guard port (DriverLanguage in driver.py). The class of this object is in a module that no process of the service
+    needs. So import this module inside the function. None if nobody has described this for the board."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

@@ -27,7 +27,7 @@ CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The longest note that the gate or telemetry sends (packing.py), in bytes."""
 PINGS = 4
-"""The most different pings that a kind of board can have. They differ so that an answer shows which ping it belongs
+"""How many pings a board can have at most. All pings of a board differ, so that an answer shows which ping it belongs
 to."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660

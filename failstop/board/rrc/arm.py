@@ -28,7 +28,7 @@ class RrcArm(ServoBus):
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Return the frame that moves one or two servos."""
+        """Return the frame that moves one or two servos. A `longest_ms` of 0 means LONGEST_MOVE_MS."""
         return bus.bus_servo_move(positions, duration_ms, longest_ms or LONGEST_MOVE_MS)
 
     def read(self, servo: int, what: int) -> bytes:
@@ -41,7 +41,7 @@ class RrcArm(ServoBus):
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
         """Return the frame that switches a servo's torque on or off. Once the torque is on, the servo holds its present
-        position, whatever its last goal was."""
+        position, whatever its last goal was. So `at` is not used."""
         return bus.bus_servo_torque(servo, on)
 
     def command(self, frame: bytes) -> int:

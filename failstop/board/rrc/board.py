@@ -78,10 +78,8 @@ _SAID: dict[int, Callable[[bytes], list[Said]]] = {
 sense.
 
 A ping asks for the position of a PWM servo. Its answer names the servo, and so shows which ping it answers. If a client
-of failstop asks for the position of the same servo, the board's answer to the client looks the same. failstop counts
-this answer as an answer to the ping too, because it also proves that the board hears. This has two small errors. First,
-the client may have asked before the ping, by up to 0.1 ms, which a question takes on the wire. Second, the answer to
-the client replaces an earlier answer if the supervisor has not read the earlier answer yet.
+of failstop asks for the position of the same servo, its question has the same bytes as the ping. So failstop treats the
+question as a ping too: the port owner records it, and its answer also proves that the board hears.
 """
 
 
@@ -117,7 +115,7 @@ class Rrc(Board):
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
     """The times at which the port owner, the stopper and the supervisor repeat their stops, in ns after the first stop
     of each. Two of them may have the same times, because this board accepts stops that follow each other without a gap.
-    The supervisor repeats no stop, because the stopper repeats it."""
+    The supervisor repeats no stop, because the stopper repeats its own stops."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]
@@ -166,7 +164,8 @@ class Rrc(Board):
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """Return the speeds in a frame for four wheels, by the ids in the frame. None for other bytes."""
+        """Return the wheels' speeds in a frame for four wheels, in the order of the wire ids. A wheel that the frame
+        does not name counts as 0. None for other bytes."""
         if not frame.startswith(framing.MOTOR_HEAD) or len(frame) < _SPEEDS.size:
             return None
         found = _SPEEDS.unpack_from(frame)

@@ -2,8 +2,9 @@
 for an arm are in servos.py.
 
 The board answers no motor frame, and its motor handler checks nothing (firmware source). The handler writes out of
-bounds for a wrong id, does not compare the count with the length, and accepts NaN as a speed. So every value is checked
-here. An encoder either returns a frame that the board handles as intended, or raises FrameError.
+bounds for a wrong id, does not compare the number of wheels with the length of the frame, and accepts NaN as a speed.
+So every value is checked here. An encoder either returns a frame that the board handles as intended, or raises
+FrameError.
 """
 
 from __future__ import annotations
@@ -41,12 +42,13 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 
 def speed_limit(max_rps: float) -> float:
-    """Return a speed limit in turns per second. Raises FrameError if it is not a valid limit."""
+    """Check a speed limit in turns per second, and return it. Raises FrameError unless it is 0 to RPS_CEILING."""
     return checks.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
-    """Return a wheel's speed in turns per second. Raises FrameError if it exceeds the limit."""
+    """Check a wheel's speed in turns per second, and return it. Raises FrameError unless it is within plus or minus
+    `limit`."""
     return checks.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
@@ -89,8 +91,9 @@ def _complete_free(body: bytes) -> bytes:
 
 
 def _one_unit_smaller(body: bytes, at: int) -> bytes:
-    """Return the frame's func, len and data with one speed made smaller: the last speed before `at` that is not zero.
-    Empty if all speeds before `at` are zero. A frame that is cut there moves no wheel."""
+    """Return the frame's func, len and data with one speed made smaller. This is the last speed that begins at `at` or
+    earlier and is not zero. Empty if there is no such speed, because a frame that is cut at `at` then moves no
+    wheel."""
     for start in reversed(_FLOATS):
         if start <= at:
             bits = int.from_bytes(body[start : start + 4], "little")

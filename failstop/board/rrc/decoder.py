@@ -1,7 +1,7 @@
 """Frames from the RRC: the decoder, and a parser for the data of each kind of frame (vendor protocol description).
 
-A parser takes the data of one frame. It returns None if the data has the wrong length or content. So a wrong frame is
-ignored, and telemetry goes on with the next frame.
+A parser takes the data of one frame. It returns None if the data has the wrong length or content. So telemetry ignores
+a wrong frame, and reads the next one.
 """
 
 from __future__ import annotations
@@ -133,9 +133,9 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
     """Return (servo id, sub-command, value) from the data of a PWM SERVO or BUS SERVO frame. The value is None if a bus
     servo did not answer. The result is None if the data has another form.
 
-    The sub-command is the same as in the question. For a PWM servo, 05 is the pulse in us, and 09 the deviation in us.
-    For a bus servo, 05 is the position, 07 the supply in mV, 09 the temperature in degrees Celsius, and 0D is 1 if the
-    torque is on.
+    The sub-command is the same as in the question, and it says what the value means. A PWM servo answers 05 with the
+    pulse in us, and 09 with the deviation in us. A bus servo answers 05 with the position, 07 with the supply in mV, 09
+    with the temperature in degrees Celsius, and 0D with 1 if the torque is on.
     """
     form = _VALUES.get((func, data[1])) if len(data) > 2 else None
     at = 3 if func == BUS_SERVO else 2

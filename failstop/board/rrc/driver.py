@@ -3,13 +3,13 @@ driver gets from the board.
 
 Frames are read byte by byte, as the board's receiver reads them. The receiver waits forever for the rest of a frame,
 and never goes back to an earlier byte. Motors that a motor frame does not name keep their speeds. The board's motor
-handler checks nothing. So failstop refuses a whole motor frame and stops the wheels if the count does not fit the
-length, a motor does not exist, or a speed is not a finite number.
+handler checks nothing. So failstop refuses a whole motor frame and stops the wheels if the frame's number of motors
+does not fit its length, a motor does not exist, or a speed is not a finite number.
 
 A question without an answer would block the SDK forever. So every question for a servo is answered. If failstop itself
 has asked the same servo the same question, the driver gets the board's newest answer. Otherwise failstop makes an
-answer of the usual length. For a bus servo it reports a failure. For a PWM servo it reports the value 0, because such
-an answer has no room for a failure. Reports that the board sends unasked are passed on in whole frames.
+answer of the usual length. For a bus servo, this answer reports a failure. For a PWM servo, this answer reports the
+value 0, because it has no room for a failure. Reports that the board sends unasked are passed on in whole frames.
 
 Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
 """

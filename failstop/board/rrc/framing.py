@@ -69,8 +69,8 @@ def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
 def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
     """Make the frame for any function except MOTOR from bytes-like data, up to 255 bytes. Raises FrameError.
 
-    Motor frames come only from the checked motor encoders. A frame for the board must not contain `AA 55 03` either: a
-    receiver that has lost its place would take these bytes for the start of a motor frame.
+    Motor frames come only from the checked motor encoders. A frame for the board must not contain `AA 55 03` either. A
+    receiver that missed the frame's head would take these bytes for the start of a motor frame.
     """
     integer("func", func, SYS, RGB)
     if func == MOTOR:

@@ -5,10 +5,10 @@ own bus (115200 baud) has taken the servo's frame. Most frames hold up the recei
 take longer, because failstop asks the servos nothing while a wheel may turn.
 
 A servo completes a timed move by itself, even if every program has died since. So a move lasts at most LONGEST_MOVE_MS,
-and a long way is a stream of short moves.
+and a longer movement is made of many short moves.
 
-Some commands write a servo's flash or its id (firmware source: 10, 20, 24, 30, 34, 38). failstop never makes these
-commands, and check_bus() refuses them.
+The sub-commands 10, 20, 24, 30, 34 and 38 (hexadecimal) write a servo's flash or its id (firmware source). failstop
+never makes these commands, and check_bus() refuses them.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
     stays on. Raises FrameError.
 
     If the frame is cut short, the zeros of the stop burst may complete it. It then stops only some of these servos, and
-    also a servo with the id 0. A move prevents this by a slightly different time, but a stop has no
-    value that could differ.
+    also a servo with the id 0. bus_servo_move() prevents this for a move by changing the duration a little. But a stop
+    has no number that could be changed.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
@@ -184,8 +184,8 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Return a text that names the first cut after which zeros would complete this move to a wrong move, or "". A servo
-    would then go to a wrong position, or a servo with the id 0 would move. A cut before the first servo is harmless,
-    because the completed frame moves no servo."""
+    """Return a text that names the first cut of this move after which zeros would complete a wrong move, or "" if there
+    is none. In a wrong move, a servo goes to a wrong position, or a servo with the id 0 moves. A cut before the number
+    of servos is harmless, because the completed frame moves no servo."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

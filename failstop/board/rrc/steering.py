@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PWM, BUS = "pwm", "bus"
 STEER = 3
 """The sub-command that moves one PWM servo. failstop does not use the sub-command that moves several PWM servos,
-because there the firmware mistakes the pulse for the duration (firmware source)."""
+because the firmware takes the pulse in it for the duration (firmware source)."""
 TAKES_MS = 20
 """How long the servo may take to turn to its new angle, in ms. The next steering frame follows after the same time."""
 LONGEST_WAY_MS = 28
@@ -40,8 +40,8 @@ class Steering(ServoSteering):
         """Return the frame that steers to this angle, positive to the left. Raises FrameError if the angle is too
         large.
 
-        The move takes TAKES_MS, or a few milliseconds longer. Otherwise the zeros of the stop burst might complete a
-        cut frame.
+        The move takes TAKES_MS. If the zeros of the stop burst could complete this frame after a cut, the move takes a
+        few milliseconds longer, which prevents this.
         """
         pulses = self._pulses(angle_rad)
         if self.servo.kind == BUS:

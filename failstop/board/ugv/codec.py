@@ -2,14 +2,14 @@
 c967326.
 
 A line is a JSON object. Its field T names the command or the report. The stop begins with a line feed, which ends any
-line that was cut short before it. The board ignores a cut line, because it is not JSON. failstop never writes `{}`,
-`null` or only the end of a line: the board would take each of them for the command that stops the wheels and switches
-an arm's torque off. Only T:1 is used for motion. The vendor's ROS 2 driver sends T:13 instead, which does not feed the
-board's watchdog.
+line that was cut short before it. The board ignores a cut line, because it is not JSON. But if only the line feed was
+cut off, the board obeys the line, and the stop follows at once. failstop never writes `{}`, `null` or only the end of a
+line: the board would take each of them for the command that stops the wheels and switches an arm's torque off. Only T:1
+is used for motion. The vendor's ROS 2 driver sends T:13 instead, which does not feed the board's watchdog.
 
 A line has no checksum, so speeds are written in a form that no lost byte can make larger. For example, 0.171 m/s is
 `17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2, which
-the board ignores. Shorter forms are not safe: `0.171` without its point is 171. `1e-3` without its 3 is 1, because
+the board ignores. Shorter forms are not safe: `0.001` without its point is 1. `1e-3` without its 3 is 1, because
 ArduinoJson accepts `1e-`.
 """
 
@@ -47,7 +47,7 @@ AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 
 """The commands that move no wheel, such as those for lights, gimbal and display. The keys are the commands' numbers
 (T), the values are their names in texts for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
-"""How the T of each of these commands is written. If `133` were written plainly, a byte lost on the cable could turn it
+"""How the T of each command in AUX is written. If `133` were written plainly, a byte lost on the cable could turn it
 into T:13, which drives the wheels."""
 _AUX_BYTES = 128
 RADIO_OFF = b'{"T":3e2,"mode":0}\n'

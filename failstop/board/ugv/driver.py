@@ -3,7 +3,7 @@ gets from the board.
 
 T:1 sets the speeds of the wheels, and T:13 the speed and turn rate of the base. The values of T:13 may be numbers or
 texts of numbers. T itself may be a text too, because the vendor's ROS 2 node sends it as a text. A line without T
-counts as T:0, the board's emergency stop. failstop makes it a plain stop, so an arm keeps its torque.
+counts as T:0, the board's emergency stop. failstop writes a plain stop instead, so an arm keeps its torque.
 
 The board acknowledges nothing, so a refused line needs no answer. The board's reports are passed on. T:1001 comes
 twenty times a second, but a driver can ask for fewer of these reports, or none. Answers to failstop's own questions are
@@ -39,8 +39,8 @@ lines."""
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""How much too early a report (T:1001) may come and still be passed on, in ns, if the driver has asked for only one
-report per interval. The board does not send its reports at exact times."""
+"""A driver may ask for only one report (T:1001) per interval. A report that comes too early by this time or less, in
+ns, is still passed on, because the board does not send its reports at exact times."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}

@@ -11,10 +11,10 @@ keeps the phases shorted. Other commands are worse (mcpwm_foc.c, foc_math.c). A 
 speed of zero follows a ramp, by default 25,000 ERPM per second. A brake current would need a number that fits the
 motor.
 
-If a packet fails, the receiver looks for other packets in the bytes that it has received. So a stop among these bytes
-is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is a few bytes, or
-up to 260 if the speed in the packet looks like the head of another packet. After a garbled length, or a long packet of
-another program, it is up to PENDING bytes.
+If a packet is invalid, the receiver looks for other packets in the bytes that it has received. So a stop among these
+bytes is never lost, only late (packet.c, since firmware 3.48). After a cut packet of this module the delay is a few
+bytes, or up to 260 if the speed in the packet looks like the head of another packet. After a garbled length, or a long
+packet of another program, it is up to PENDING bytes.
 """
 
 from __future__ import annotations
@@ -236,8 +236,8 @@ class Replies(Reader):
         self._kept = b""
         self._other = other
         self._first: tuple[int, Values] | None = None
-        """The answer of the controller at the port to which the answer of the second controller is still missing, as
-        (mask, values). None if there is no such answer."""
+        """The newest answer of the controller at the port, as (mask, values). It waits here for the second controller's
+        answer to the same question. None if no answer waits."""
         self._misses = 0
         self._garbled = False
         """True if bytes that belong to no packet came since the last answer of the controller at the port. They may
@@ -287,7 +287,8 @@ class Replies(Reader):
         return found
 
     def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:
-        """Return the samples for a question, once every controller has answered it."""
+        """Add the answer of controller `one` (LOCAL or BEHIND). Returns the samples for the question if every
+        controller has now answered it, otherwise an empty list."""
         if not self._other:
             return self._answered(mask, values)
         first, self._first = self._first, None

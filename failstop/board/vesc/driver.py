@@ -4,8 +4,8 @@ A driver sets speeds in ERPM and the position of the servo, and asks for the fir
 (RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
 port, and the answers are passed back. A new speed leaves the servo where the driver sent it before. A brake current
 sets the motor's speed to zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is
-refused, and so is a position or a handbrake current. The wheels then stop, because failstop can't limit the speed that
-would result. Bytes that are not a packet are skipped as the firmware skips them.
+refused, and so is a position of the motor or a handbrake current. The wheels then stop, because failstop can't limit
+the speed that would result. Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """The Wire that describes one or two VESCs. The second controller is on the CAN of the first. Each controller has its
-own packets, and all of them go out in one write.
+own packets.
 
-So no process can die between two writes and leave one motor turning. If the kernel takes only a part of a write, the
-next burst of any process stops both motors, because the receiver finds every whole packet after a cut packet. One
-danger remains: a controller that hears nothing, for example because its CAN plug is out. Only its own timeout then
-stops its motor. Because it does not answer, stops do not count as acknowledged, and motion can't be enabled.
+The packets for both controllers go out in one write. So no process can die between two writes and leave one motor
+turning. If the kernel takes only a part of a write, the next burst of any process stops both motors, because the
+receiver finds every whole packet after a cut packet. One danger remains: a controller that hears nothing, for example
+because its CAN plug is out. Only its own timeout then stops its motor. Because it does not answer, stops do not count
+as acknowledged, and motion can't be enabled.
 
 A burst is a stop, zeros, and a second stop. After a garbled length, the receiver may wait for a long packet. The four
 bursts of a writer are longer than any packet. So a garbled length delays a stop by 0.14 s at most, but no stop is lost.
