@@ -76,8 +76,8 @@ def open_pipe_to_write(path: str) -> int:
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write at most PIPE_BUF bytes, completely or not at all. Returns False if the pipe is full, which wakes the
-    service anyway. Raises BrokenPipeError if the service is gone, or another OSError."""
+    """Write at most PIPE_BUF bytes, completely or not at all. Returns False if the pipe is full. The bytes in a
+    full pipe wake the service anyway. Raises BrokenPipeError if the service is gone, or another OSError."""
     try:
         os.write(fd, data)
     except BlockingIOError:

@@ -271,7 +271,7 @@ class RingReader(_Cells):
         """Skip a damaged cell if a later entry is whole. Returns False if the reader must wait, because the next entry
         may still be written to the cell. Returns True if the reader must look again.
 
-        Otherwise one damaged cell would hide the stops in the cells after it, until the writer has gone once around the
+        If a damaged cell were not skipped, it would hide the entries after it until the writer has gone once around the
         ring.
         """
         later = [seq for seq in self._whole() if seq > self._next]

@@ -3,7 +3,8 @@ record locks.
 
 The kernel drops a lock when its holder's last descriptor is closed, so a crash leaves no lock behind. A forked child
 shares the lock until it calls exec, so the child may keep the lock after the holder has died. The content of the file
-means nothing. Classic POSIX locks would not do: a process loses them as soon as any of its code closes the same file.
+means nothing. Classic POSIX locks are not used, because a process loses them as soon as any of its code closes the same
+file.
 """
 
 from __future__ import annotations

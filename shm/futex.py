@@ -8,8 +8,8 @@ SIGCHLD all report the death only after the memory is freed.
 The kernel wakes only one thread per word, so each watching process has its own word. A watcher never writes to the
 word. If the robust futex does not report a death, the pidfd still does (lifeline.py).
 
-This file gives the kernel a list of its own. It does not use the C library's robust mutexes, because only the thread
-that has locked such a mutex may unlock it.
+This file gives the kernel a list of its own. The C library's robust mutexes are not used, because only the thread that
+has locked such a mutex may unlock it. Here, any thread of the process may clear the word.
 
 Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), futex(2).
 """
@@ -88,9 +88,9 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """When the calling thread dies, let the kernel mark this in `lines` cache lines of memory. The first one holds
-        this futex, and the others follow it. Keep the returned object until the thread ends or calls let_go(), because
-        the kernel uses its memory. Returns None if the kernel can't report deaths. Raises OSError."""
+        """Let the calling thread hold `lines` futexes: this one, and those in the lines after it. When the thread dies,
+        the kernel marks all of them. Keep the returned object until the thread ends or calls let_go(), because the
+        kernel uses its memory. Returns None if the kernel can't report deaths. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]

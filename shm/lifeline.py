@@ -124,9 +124,9 @@ class EarlyNews:
         only one thread, which ends when the lifeline is closed.
 
         `stop`: the thread calls this when the process has died. Then the thread demotes the dying process, calls
-        give_way() and rings the bell. `dying`: the priority of the watched process. If this process has real-time
-        rights, a thread with a `stop` gets a priority above `dying`. Otherwise, on a single core, the thread would wait
-        until the kernel has freed the dying process's memory.
+        give_way() and rings the bell. `dying`: the priority of the watched process. If the calling process has
+        real-time rights, a thread with a `stop` gets a priority above `dying`. Without this priority, on a single core,
+        the thread would wait until the kernel has freed the dying process's memory.
         """
         if not life.watched:
             life.watched = True

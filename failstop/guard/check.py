@@ -7,8 +7,8 @@ from failstop.guard.said import GUARD, path_in
 
 
 def check(look: Look) -> list[Finding]:
-    """Check which program has the guard port open, and whether a missing obstacle sensor keeps it from moving the
-    wheels."""
+    """Check which program has the guard port open. Warn if a program at this port can't move the wheels because no
+    program reports an obstacle sensor."""
     clients = look.state.clients if look.state else ()
     found = [(path_in(client.sees), client) for client in clients if path_in(client.sees)]
     if not found:

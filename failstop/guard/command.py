@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
 
 
 class _Ends:
-    """Handles SIGTERM and Ctrl-C. `now` is True once one of the two has come, and the guard must end."""
+    """Handles SIGTERM and Ctrl-C. After one of the two, `now` is True, and the guard must end."""
 
     def __init__(self) -> None:
         self.now = False
@@ -111,9 +111,10 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The path of the port if --path is not given: the setting guard.path, or else a file in systemd's runtime folder
-    for this unit. Without these, the port is in the service's or the user's own runtime folder, if this user may write
-    there. Raises FailstopError if there is no such folder."""
+    """The path of the port if --path is not given. This is the setting guard.path if it is set. Otherwise the port is
+    in the first of these folders: systemd's runtime folder for this unit, the service's runtime folder, the user's
+    runtime folder. The last two count only if this user may write there. Raises FailstopError if there is no such
+    folder."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):

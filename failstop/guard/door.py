@@ -99,8 +99,9 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed the pseudo-terminal while a child still has it open. A program must have no
-        descriptor at two calls in a row, because inotify may report its close a little later. Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child still has it open. A program is returned only
+        if it had no descriptor at two calls in a row, because inotify may report its close a little later. Raises
+        OSError."""
         wanted, before, self._closed = identity(self._pty.name), self._closed, set()
         for pid in self.seen.keys() - self._dying.keys():
             with contextlib.suppress(PermissionError):  # nobody knows whether this program has closed it

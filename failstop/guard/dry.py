@@ -24,8 +24,8 @@ AT_DEATH = {
 """What happens, besides the stop, when a driver dies while it drives. The keys are the values of the setting
 gate.driver_death."""
 MOST_SHOWN = 200
-"""The most different motions that are printed for one driver. As many different frames that are not motion are
-printed."""
+"""How many different motions are printed for one driver at most. The same number limits the different frames that are
+not motion."""
 
 
 class Nothing:
@@ -78,8 +78,8 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print `wrong`, at most once for each motion of the driver. The guard itself prints refusals and a driver's
-        end, so they are left out here."""
+        """Print `wrong`, at most once for each motion of the driver. Refusals and texts about a driver's end are not
+        printed, because the guard itself prints these."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")

@@ -244,8 +244,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """Begin a conversation with the program that has the port open, or continue the conversation `talk`. Without
-        such a program, note that no driver is there."""
+        """Begin a conversation with the program that has the port open, or continue the conversation `talk`. If no
+        program has the port open, tell the service so."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()

@@ -192,7 +192,7 @@ def dying(pid: int) -> bool:
     milliseconds may pass before the process begins to end. Then the kernel frees its memory, which takes long for a
     large process, and only then closes its files.
 
-    If the main thread has ended, all other threads must be ending too.
+    After the main thread has ended, the process counts as ending only if all its other threads are ending.
     """
     try:
         stat = _read(f"/proc/{pid}/stat")

@@ -85,8 +85,8 @@ class Pty:
         self._link()
 
     def _let_in(self) -> None:
-        """Let the guard's own user, and the group of the service's clients, open the pseudo-terminal. Without the
-        group, or without the right to use it, only the guard's own user may."""
+        """Let the guard's own user, and the group of the service's clients, open the pseudo-terminal. If the
+        group does not exist, or the guard may not give the terminal to it, only the guard's own user may open it."""
         import grp  # once
 
         with contextlib.suppress(KeyError, PermissionError):
@@ -138,8 +138,8 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Write one answer or one frame to the driver. Bytes that the terminal does not accept are written first at the
-        next call. While such bytes can't be written, new `data` is dropped. Returns False if no byte of `data` was
+        """Write one answer or one frame to the driver. If the terminal does not accept all bytes, the next call first
+        writes the rest. As long as a rest is left, new `data` is dropped. Returns False if no byte of `data` was
         accepted."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
@@ -157,8 +157,8 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Keep more programs from opening the terminal if `on`, else let them in. Root can always open it. Raises
-        HungUp."""
+        """If `on`, keep more programs from opening the terminal. Otherwise allow it again. Root can always open the
+        terminal. Raises HungUp."""
         with _alive():
             fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
 

@@ -48,8 +48,8 @@ class Service:
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """Look for a service that is not running, at most once every AGAIN_NS, and get a client slot. Returns True if
-        the service is running."""
+        """If the guard has no running service, look for one, at most once every AGAIN_NS. If the guard has no client
+        slot, try to get one. Returns True if the service is running."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:

@@ -25,8 +25,8 @@ RENEW_NS = 100_000_000
 """While a motion counts, the guard repeats the motion's command at least this often, because the motion may count for
 longer than the service lets one command count."""
 FRAME_EVERY_NS = 20_000_000
-"""The shortest time between two frames that are not motion. More of them would leave too little of the serial line for
-motion."""
+"""The shortest time between two frames that are not motion. More frequent frames would leave too little of the
+serial line for motion."""
 MOST_FRAMES = 8
 """How many frames that are not motion may wait to be sent, one of each kind. A frame of a further kind is dropped."""
 MOST_REFUSALS = 32
@@ -103,7 +103,7 @@ class Talk:
 
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
         """Handle bytes that the driver wrote after `since_ns` and not later than `now_ns`. Returns the answers for the
-        driver."""
+        driver. If the answers are late, returns only the newest one."""
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
         motions = [row for row in rows if isinstance(row, DriverMotion)]

@@ -52,9 +52,9 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Make a segment for this run. Only the supervisor does this. The supervisor's own segment is also locked for as
-    long as the supervisor lives, so that lives() can see it. If this fails, removes the unfinished segment and raises
-    AttachError."""
+    """Make a segment for this run. Only the supervisor does this. The supervisor also locks its own segment for as long
+    as it lives, and lives() checks this lock. If the segment can't be made, raises AttachError, and leaves no
+    unfinished segment behind."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
         fd = _make(path)
@@ -83,8 +83,10 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def _make(path: str) -> int:
-    """Make a new shared memory object, and return its descriptor. Without posix-ipc, which has no wheel for Python
-    3.14, this makes the same system call as glibc's shm_open(). Raises OSError."""
+    """Make a new shared memory object, and return its descriptor. Raises OSError.
+
+    Uses the package posix-ipc if it is installed (it has no wheel for Python 3.14). Otherwise makes the same system
+    call as glibc's shm_open()."""
     try:
         import posix_ipc  # imported only here, so that processes that only attach don't load it
     except ModuleNotFoundError:
@@ -206,8 +208,8 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
     """Open a client's segment so that the service can read it. If this fails, for example because the client has
     removed the segment's name, returns an empty segment.
 
-    The header is not checked, because a client may have overwritten it. The CRC of each record includes the run's
-    incarnation, so it shows that the record belongs to this run."""
+    The header is not checked, because a client may have overwritten it. The CRC of each record shows whether the record
+    belongs to this run, because the CRC includes the run's incarnation."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
@@ -268,7 +270,7 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
 
 
 def _described(memory: str, name: str) -> str:
-    """How messages to people name the segment `name`."""
+    """The words for a segment in messages to people."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 

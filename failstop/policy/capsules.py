@@ -85,8 +85,8 @@ def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 
 def _held(part: float, whole: float) -> float:
-    """Divide `part` by `whole`, and limit the result to 0..1. Returns 0 if `whole` is 0, because any value between 0
-    and 1 is right then. This is so for parallel lines, or if a segment is a single point."""
+    """Divide `part` by `whole`, and limit the result to 0..1. Returns 0 if `whole` is 0. `whole` is 0 if the line
+    segments are parallel, or if one of them is a single point. Any value from 0 to 1 is right in these cases."""
     return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 

@@ -3,11 +3,12 @@ cause, what clears it, and what people must do. A stop for any of these causes i
 
 A stop must not wait for its text. So the process that notices a cause sends only the row's number and the arguments
 (`pack`). The process that reports the cause makes the text later, from a template (`str`). A part of the template in
-brackets is left out if all its arguments are empty.
+square brackets is left out if all its arguments are empty.
 
-`what` is a clause that continues "stopped since ...". It can use the arguments, and also `role` (what the process does)
-and `names` (of the buttons). `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder (see
-ADVISED), for example for the names of ROS nodes.
+The columns `what` and `remedy` are parts of sentences. `what` continues "stopped since ...". It can contain the
+arguments, and also `role` and `names`. `role` says what the process in the argument `process` does. `names` are the
+names of the gamepad's pressed buttons. `remedy` continues "first ..." (see `Kind.first`). It can contain a placeholder
+(see ADVISED), for example for the names of ROS nodes.
 """
 
 from __future__ import annotations
@@ -57,10 +58,10 @@ USE_THE_SWITCH = "use the POWER SWITCH"
 class Kind(Data):
     """One row of the table of causes.
 
-    `number` is never used again for another row. `template` has its parameters in braces, and none may be called
-    "name". `noticed_by` lists the processes that can notice the cause. `doubt` is a clause that is added to `what`. A
-    row needs a `doubt` if a stop for this cause may not reach the wheels. first() then sends people to the power
-    switch, unless the stop is known to have reached the wheels.
+    `number` is never used again for another row. `template` has its parameters in braces. No parameter may be
+    called "name". `noticed_by` lists the processes that can notice the cause. A row needs a `doubt` if a stop for this
+    cause may not reach the wheels. The `doubt` is a clause that is added to `what`, and first() tells people to use the
+    power switch. Both are left out if the stop is known to have reached the wheels.
     """
 
     number: int
@@ -216,8 +217,8 @@ def remedied(cause: Cause, reached: str = "") -> str:
 
 
 def _to_remap(cause: Cause) -> str:
-    """The names of the ROS nodes that must publish on another topic, because only one node may publish on this one. If
-    it is not clear which node may stay, the text is "all but one of" and all names."""
+    """Only one ROS node may publish on the topic, but several do. Return the names of the nodes that must publish on
+    another topic. If it is not clear which node may keep the topic, the text is "all but one of" and all names."""
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")

@@ -32,14 +32,14 @@ class Halted(Data):
     where: str
     """The port or the topic to which the stop was sent."""
     written: bool
-    """True if a whole stop has left this computer."""
+    """True if all bytes of a stop have left this computer, and the port has not disappeared since."""
     there: bool = True
     """True if the port exists."""
     why: str = ""
     """The error that kept the command from writing the stop, or from asking the board about it. Empty if there was no
     error."""
     confirms: bool = False
-    """True if this board can confirm a stop."""
+    """True if this board can confirm a stop. Also True if a stop was written, but the board could not be asked."""
     confirmed: bool = False
     """True if the board has answered a question that was sent after the stop."""
     still: bool | None = None

@@ -1,7 +1,7 @@
 """Joints: the settings of each joint of the arm, and where the joint is. Pure.
 
-Positions are in pulses of the servo. A commanded position keeps its fraction, and is rounded only for the frame.
-Rounding each step would spoil slow moves: at 0.3 rad/s a joint moves only 2.9 pulses in a step.
+Positions are in pulses of the servo. A commanded position keeps its fraction, and is rounded only when a frame for the
+servo is made. Rounding in every step would spoil slow moves: at 0.3 rad/s, a joint moves only 2.9 pulses in a step.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from failstop.board.kinds import facts_of
 from failstop.policy.settings import Settings
 
 MOST_MISSES = 4
-"""A servo counts as silent when it has not answered this many questions in a row."""
+"""A servo counts as silent if it has not answered this many questions in a row."""
 
 
 class Joint:
@@ -43,11 +43,11 @@ class Joint:
         """The commanded position in pulses, with a fraction. It is valid only while `known` is True."""
         self.velocity = 0.0
         self.known = False
-        """True if the joint is at `position`. This is so after the servo's position was read, for as long as the joint
-        moves only as commanded."""
+        """True if the joint is at `position`: the servo's position was read, and the joint has since moved only as
+        commanded."""
         self.loaded: bool | None = None
-        """True if the torque was last read or switched as on, False if as off. None if it was neither read nor switched
-        yet."""
+        """True if the torque is on, False if it is off, as the servo last reported or as the arm last switched it. None
+        if neither has happened yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
@@ -81,7 +81,8 @@ class Joint:
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """The joint's values in the gate's state. The position is None if it is not known."""
+        """The joint's values in the gate's state: name, servo id, commanded position (None if it is not known),
+        measured position and its time, torque, temperature and supply voltage."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)

@@ -69,9 +69,9 @@ class Chassis:
         """The matrix that converts wheel speeds (turns per second, by wire id) to the body's velocity. Its rows are for
         vx (m/s), vy (m/s) and wz (rad/s), with one factor for each id on the wire.
 
-        The resulting velocity fits all wheels best (least squares). If no motion of the body fits, some wheels slip,
-        and this slip is ignored. Raises ValueError if several velocities give the same wheel speeds, for example
-        because three omni wheels all roll in the same direction.
+        If no velocity fits the speeds of all wheels, some wheels slip. The result is then the velocity that fits best
+        (least squares). Raises ValueError if several velocities give the same wheel speeds, for example because three
+        omni wheels all roll in the same direction.
         """
         if self._back is None:
             self._back = _least_squares(self._rows, self.axes)
@@ -181,7 +181,7 @@ def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
 def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
     """The rim speeds of omni wheels around the middle of the base. Each wheel rolls in one direction, and its rollers
     let it slide at a right angle to that direction. `ways_deg`: the rolling direction of each wheel, in degrees
-    counter-clockwise from forward. If every wheel rolls in its own direction, the robot turns counter-clockwise."""
+    counter-clockwise from forward. If every wheel rolls forward in its direction, the robot turns counter-clockwise."""
     # Rounded, so that a wheel that rolls at a right angle to the motion does not turn at all.
     return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
@@ -212,9 +212,9 @@ def of_wheels(
     base: Chassis, mounted: Sequence[tuple[int, int]], speeds_radps: Sequence[float], steering_rad: float | None = None
 ) -> Velocity:
     """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers).
-    `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the left. With
-    this angle, the wheels determine only the forward speed, and the angle determines the turn. Raises ValueError, for
-    example for this angle on a base without steered wheels."""
+    `mounted`: the result of settings.mounted_wheels(). `steering_rad`: the steering angle, positive to the left. If it
+    is given, it determines the turn, and the wheel speeds determine only the forward speed. Raises ValueError, for
+    example if it is given for a base without steered wheels."""
     rps = [0.0] * len(base.rest)
     for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
         rps[id_] = sign * speed / (2 * pi)

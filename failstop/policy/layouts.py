@@ -19,8 +19,9 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder in failstop/board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""The numbers of wheels that each layout may have. If a user has described the board, the base has the smallest of its
-layout's numbers. With any other board, it has the largest number for which a frame of the board has enough speeds."""
+"""The numbers of wheels that a base with each layout may have. With a board that a user has described, the smallest of
+these numbers is used. With any other board, it is the largest number for which a frame of the board has enough
+speeds."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {
@@ -166,8 +167,8 @@ def wheel_count(kind: str, layout: str) -> int:
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
-    """The id on the wire of each wheel's motor. `given`: settings as texts. Missing settings count with their
-    defaults."""
+    """The id on the wire of each wheel's motor. `given`: settings as texts. A setting that is not given has its
+    default."""
     found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]

@@ -7,15 +7,17 @@ from failstop.data import Data
 SUPERVISOR_PRIORITY = 30
 """The supervisor's real-time priority (SCHED_FIFO). A process with a higher priority runs first.
 
-The port owner has the highest priority, because every stop goes through it. The stopper, the gate and then the
-supervisor follow. The supervisor has the lowest priority of these four, because it is needed only after another process
-has died. If the supervisor itself dies, the other three must be able to react at once.
+The port owner has the highest priority, because every stop goes through it. The next are the stopper, the gate and the
+supervisor, in this order. The supervisor is the last of these four, because it is needed only after another process has
+died. When the supervisor itself dies, the kernel still has to free its memory. The low priority lets the other three
+processes run before this work.
 """
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""If the port owner hangs for this long, in ns, the stopper stops the robot. If the port owner or the supervisor
-notices that it could not run for this long itself, it stops the robot, provided that the wheels may turn."""
+"""If the port owner hangs for this long, in ns, the stopper stops the robot. The stopper waits longer only if the port
+owner lacks processor time and its last write to the wheels was a stop. If the port owner or the supervisor notices that
+it has not run for this long, it stops the robot if the wheels may turn."""
 
 
 class Process(Data):

@@ -72,8 +72,8 @@ def heard_late(process: object) -> str:
 
 
 def observer(boards: str, *, imu: bool) -> str:
-    """The observer of the wheels: `boards`, the board's own (`IMU` or `wheels`). Empty if this is the IMU and the robot
-    has none (`imu` is False)."""
+    """What observes the wheels. `boards`: what observes them with this kind of board, `IMU` or `wheels`. `imu`: True if
+    the robot has an IMU. The result is `boards`, or empty if `boards` is `IMU` and the robot has no IMU."""
     return boards if imu or boards != "IMU" else ""
 
 

@@ -32,8 +32,8 @@ GYRO_FITS = (1 / 1.6, 1.25)
 """The smallest and the largest allowed ratio of the robot's measured turn rate to the commanded one. The range is wider
 below 1, because a robot with tracks or skidding wheels turns less than its wheels roll."""
 FITS = 1.25
-"""If a measured speed is above or below the commanded speed by more than this factor, people get a remark. Nothing need
-be wrong then, because a slope, for example, can cause such a difference."""
+"""If a measured speed is above or below the commanded speed by more than this factor, people get a remark. The
+difference may be harmless, because a slope, for example, can cause it."""
 ON_A_STAND = 0.1
 """If the gyro measures less than this share of the commanded turn rate, it says nothing about the scale, because the
 robot is probably on a stand, or somebody holds it."""
@@ -50,7 +50,7 @@ def capped(settings: Settings, *, assumed: bool) -> Settings:
 
 
 def cap_text(settings: Settings) -> str:
-    """A text for people that says that the speed is capped, and why. `settings`: the settings after capped()."""
+    """A text for people that says that the speed is capped, and why. `settings`: what capped() has returned."""
     fastest = settings["limits.vx_mps"]
     return f"speed capped at {fastest:g} m/s, because {ASSUMED}; {REMEDY}"
 

@@ -1,4 +1,4 @@
-"""Servos on a bus: each servo's load and temperature by the part that it turns, and texts for people. Pure."""
+"""Servos on a bus: finds the part that each servo turns, and makes texts about loads, temperatures and faults. Pure."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The ids of the motor controllers if they report their own load and temperature, otherwise of the bus servos that
-    turn the wheels. Empty if neither exists."""
+    """The ids of what turns the wheels: the motor controllers if they report their own load and temperature, otherwise
+    the bus servos. Empty if the wheels are turned by neither."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:
         return tuple(facts.motors)[: settings.speeds]
@@ -76,7 +76,8 @@ def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Setting
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """A text for what motion waits for if a wheel's servo is missing. Empty if missing_wheel() finds no such wheel."""
+    """A text that names the wheel whose servo is missing, because motion waits for it. Empty if missing_wheel() finds
+    no such wheel."""
     wheel = missing_wheel(rows, settings)
     return f"the {wheel}, which does not answer" if wheel else ""
 

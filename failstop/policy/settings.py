@@ -356,9 +356,9 @@ class Settings:
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Check the values in `changed`, and fill in the defaults of all other settings. Raises SettingError with at
-        most MOST_TOLD unknown keys, wrong types and values out of range. If there are none, its message names values
-        that contradict each other.
+        """Check the values in `changed`, and fill in the defaults of all other settings. Raises SettingError. Its
+        message lists at most MOST_TOLD unknown keys, wrong types and values out of range. If there are no such
+        mistakes, the message names values that contradict each other.
 
         `changed` has the values by key. An empty dict as a value declares a table without settings of its own, for
         example a source with only the defaults.
