@@ -75,6 +75,6 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Return the segments of all clients, to be read without mapping. A segment whose file was removed counts as
-        unused."""
+        """Return the segments of all clients. They are read through their descriptors, not mapped into memory. A
+        segment whose file was removed counts as unused."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

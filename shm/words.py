@@ -38,8 +38,8 @@ class Barrier:
     Words and cells are read and written with plain loads and stores. AArch64 may reorder these, and x86-64 lets a load
     pass an earlier store. No library gives Python a fence, so this class makes one from a lock, which it always holds.
     A call releases the lock (a store-release) and acquires it again (a load-acquire), and no load-acquire passes an
-    earlier store-release. The other order would be no barrier, because accesses from both sides could move between the
-    acquire and the release.
+    earlier store-release. If a call first acquired a lock and then released it, it would be no barrier: accesses from
+    before and after the call could move between the acquire and the release.
 
     The folder model/aarch64 lists the pairs of accesses that need a barrier, with a litmus test for each.
     """

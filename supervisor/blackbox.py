@@ -25,25 +25,25 @@ SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
 """How long after a stop the saver is started. Starting a process blocks the supervisor until the new process gets a
 processor core. During that time the supervisor can't renew the lease for motion, so the saver starts before a person
-can have reset the stop and enabled motion again. Starting it at once could delay the repeats of the stop, and after
-this time most boards have had all of them."""
+can have reset the stop and enabled motion again. If the saver started at once, it could delay the repeats of the stop.
+After START_NS, most boards have had all repeats."""
 COPY_NS = 2_200_000_000
 """How long after a stop the saver copies the rings. With the default settings, nothing more becomes known about a stop
 after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""If an earlier run has died, a saver saves what that run has left, as soon as the current run is ready. This is the
-longest time that it waits for that."""
+"""If an earlier run has died, a saver waits until the current run is ready, and then saves what the earlier run has
+left. This is the longest time that the saver waits."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
 """How many stops may wait for a saver. More are very unlikely, because a person must reset each stop before another
 stop can be latched."""
 ON_TIME_NS = START_NS
-"""A saver that is late by more than this is not started while the robot may move, because starting it could block the
-supervisor for so long that the robot stops."""
+"""If a saver could not be started within this time after its planned time (START_NS after the stop), it is started only
+while the robot can't move. Its start could block the supervisor for so long that a moving robot stops."""
 GIVE_UP_NS = 30_000_000_000
-"""If the saver for a stop is late by more than this and still can't be started, the stop is not saved. The rings cover
-about a minute, so by then they hold less than half a minute from before the stop."""
+"""If a saver still can't be started this long after its planned time, the stop is not saved. The rings cover about a
+minute. After this time, they hold less than half a minute from before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"

@@ -93,8 +93,8 @@ class Child:
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
         """`row`: the process's row in the process table. `beat`: its heartbeat. `restart`: the timer for its restart.
-        `settings`: a lease (gate.lease_s) that is longer than the deadline in the row replaces this deadline. Such a
-        lease is set on a machine that is too slow for the row's deadline."""
+        `settings`: if the lease (gate.lease_s) is longer than the deadline in the row, the lease is used as the
+        deadline. A user sets such a lease on a machine that is too slow for the row's deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
@@ -147,8 +147,8 @@ class Child:
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """Record a death, and return how long to wait before the restart, ns. Only the deaths in the last
         restart.window_s count. The wait is 0 after the first death, restart.backoff_s after the second, and doubles
-        with each further death, up to LONGEST_WAIT_NS. Returns None from the restart.deaths-th death on, and then the
-        process must stay down."""
+        with each further death, up to LONGEST_WAIT_NS. Returns None if at least restart.deaths deaths count: the
+        process must then stay down."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -172,15 +172,16 @@ class Child:
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
-        """Excuse a silence of `silent_ns`, because the machine did not run the process. From `now_ns` on, the process
-        may be silent for allowed_ns() once more. It may have beaten since the silence was measured."""
+        """Excuse a silence, because the machine did not run the process. From `now_ns` on, the process may be silent
+        for allowed_ns() once more. `silent_ns`: the length of the silence. The process may have beaten since this
+        length was measured."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """Return the length of an excused silence, ns, when the process beats again. Returns it only once, otherwise
-        0."""
+        """Return the length of an excused silence, ns, if the process has beaten again since the last call. Otherwise
+        return 0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
             self._spared_ns = 0
@@ -188,8 +189,8 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """The time by which the process must beat, or report that it runs if it is starting. NEVER if no beat is
-        expected."""
+        """The time by which the process must beat. While the process is starting: the time by which it must report that
+        it runs. NEVER if neither is expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns

@@ -30,17 +30,17 @@ LONGEST_HOLD_NS = 50_000_000
 longer than LONGEST_HOLD_NS probably can't be written at all, and people must learn about it."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""Pairs of limits, in bytes: (the longest text of an event, the longest value of a field). The first pair is used with
-which the whole event is short enough."""
+"""Pairs of limits, in bytes: (the longest text of an event, the longest value of a field). The pairs are tried in this
+order, until the whole event is short enough."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not one of them:
-there is only one for each latched stop, and the next stop can be latched only after a reset."""
+"""The kinds of events that a user can cause again and again without any rights. The kind "stop" is not in this set:
+there is only one such event for each latched stop, and another stop can be latched only after a reset."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""How many bytes the events of one kind and level may take in the log per minute. A latched stop takes about 500 bytes,
-so about 130 of them fit."""
+"""How many bytes the events of one kind and level may take in the log per minute. This is enough for about 130 latched
+stops of 500 bytes each."""
 REPEATS_BYTES = 8192
 """How many bytes per minute the log may take for requests to stop a robot that is already stopped. Any user can send
 such requests without end, and they change nothing."""
@@ -56,8 +56,8 @@ AFTER_UNIT = ".,;:!?)]'\""
 
 def fold(text: str, width: int, indent: int) -> str:
     """Break the text into lines of at most `width` columns, and indent all lines except the first one by `indent`
-    columns. A command in backquotes, or a number with its unit, stays on one line if it fits. A longer word is not
-    broken."""
+    columns. A command in backquotes, or a number with its unit, stays on one line if it fits. A word that is longer
+    than a line is not broken."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""

@@ -1,8 +1,9 @@
 """The latch and the epochs. The first stop of a run, and the first one after each reset, is latched: it stays in force
 until a person resets it. Each stop also raises a counter, the epoch.
 
-Only the supervisor raises the epoch, latches stops and resets. The other processes read the result. The epoch is
-published last. So a process that sees a new epoch also sees the stop's cause, and that the service is not ready.
+Only the supervisor raises the epoch, latches stops and resets. The other processes read the result. When a stop comes,
+the epoch is published last. So if a process sees the new epoch, it also sees which stop is latched, and that the
+service is not ready.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ class Epochs:
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """The time when the oldest stop came that is still owed; 0 if none is. A stop is owed until the port owner or
-        the supervisor has written it."""
+        """The time when the oldest owed stop came; 0 if no stop is owed. A stop is owed until the port owner or the
+        supervisor has written it."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)

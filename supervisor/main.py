@@ -41,13 +41,13 @@ from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
 """The time between two beats of the supervisor. Each beat allows motion for one lease (gate.lease_s), which is three
-times as long by default."""
+ticks long by default."""
 AT_REST_NS = 2 * TICK_NS
 """The time between two beats of the supervisor while nothing can move. No process checks the lease then, so a longer
 time is enough, and it saves processor time."""
 BEATS_ALONE = 2
-"""While nothing happens, the supervisor only beats in this many ticks in a row, and checks everything in the next one.
-If something happens, it wakes up earlier, because everything that it must handle wakes its loop."""
+"""While nothing happens, the supervisor only beats for this many ticks, and in the tick after them it also checks
+everything. Anything that the supervisor must handle wakes its loop earlier."""
 STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a new epoch with a stop. After this time, the supervisor writes the burst
 itself."""
@@ -92,8 +92,8 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """The timer for the next time limit: until then the port owner must have answered a stop, or a process must
-        have beaten."""
+        """The timer for the next time limit, at which the port owner must have answered a stop, or a process must have
+        beaten."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
@@ -206,10 +206,10 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """Check whether the supervisor itself did not run for a while, and excuse the other processes' silence in that
-        time. Returns a list with one stop if it did not run for HANG_NS and _motion() is True. Without motion, this is
-        only logged, and the list is empty. `suspended_ns`: how long a signal suspended the supervisor since its
-        previous turn; 0 if none did."""
+        """Check whether the supervisor itself did not run for a while. If so, excuse the other processes' silence in
+        that time. Returns a list with one stop if the supervisor did not run for HANG_NS or longer and _motion() is
+        True. If _motion() is False, such a gap is only logged, and the list is empty. `suspended_ns`: how long a signal
+        suspended the supervisor since its previous turn; 0 if no signal did."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and n
 LOOK_NS = 5_000_000
 """How often the thread tries to open a lost port."""
 WATCH_S = 1.0
-"""While the board is connected, the other devices on this computer are listed this often, s. If the board is lost later
-and a device appears, it can't be the board if it is in this list."""
+"""How often to list the other devices on this computer while the board is connected, s. If the board is lost later,
+failstop takes none of the listed devices for the board."""
 DOUBT_S = 0.05
 """How often to look for the real board while the open device may be a different one, s."""
 SHARE_NS = 100_000_000
@@ -270,8 +270,9 @@ class PortHandover:
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """Send the port's descriptor to each of the named processes that has been started. A process that starts later
-        inherits the port. If it were sent the port before, that descriptor would stay open in its socket's queue."""
+        """Send the port's descriptor to each of the named processes that has been started. A process that is not
+        started yet will inherit the port. A descriptor that was sent to it before its start would stay open in the
+        socket's queue."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:

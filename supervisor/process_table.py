@@ -22,8 +22,8 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""The status shows the longest silence of a starved process, until this much time has passed since a process was last
-starved."""
+"""How long the status shows the longest silence of a starved process, counted from the newest such silence of any
+process."""
 GATE_AGAIN_NS = 60_000_000_000
 """A process that has died too often stays down until a reset. But the gate is started again after this time, because
 only the gate can receive a request for a reset."""

@@ -3,7 +3,7 @@
 A stop can reach these levels of proof:
 
     acknowledged   the board answered a ping that was written after the stop, or reports that it obeys zeros
-    observed       the IMU, or the board's reports of its wheels, show that the wheels are still (unstill: they are not)
+    observed       the IMU, or the board's reports of its wheels, show that the wheels are still
     logged         nothing more will become known about the stop, so its outcome is logged
 
 No level is ever concluded from another one. For example, a stop does not count as acknowledged because the IMU shows
@@ -35,26 +35,26 @@ WHEELS_UNKNOWN = "unknown"
 WHEELS_UNSTILL = "unstill"  # they still move although they should not, and have not been seen still since the stop
 WHEELS_STILL = "still"
 PONG_NS = 20_000_000
-"""A ping that is younger than this may still be answered, so it does not show that the board is deaf. Each ping gets
-older than this before the next one is written (schedule.py)."""
+"""A ping that is younger than this may still be answered, so it does not show that the board is deaf. The time between
+two pings is longer (schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
 """If the board has not acknowledged a stop after this time, the stop is logged as not acknowledged."""
 JUDGED_AFTER_NS = 800_000_000
-"""If the wheels were never seen moving, a verdict "the wheels are still" counts only if it was made this long after the
-stop's cause. This is longer than one window of IMU samples plus the time for which a verdict is held
+"""If the wheels were never seen moving, a verdict "the wheels are still" counts only if it was made at least this long
+after the stop's cause. This time is longer than one window of IMU samples plus the time for which a verdict is held
 (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A verdict about the wheels that is older than this does not count. A new one comes earlier, unless telemetry, the IMU
-or the board's reports have gone silent."""
+"""A verdict about the wheels that is older than this does not count. Normally a newer verdict comes within
+this time. None comes if telemetry, the IMU or the board's reports have gone silent."""
 LEAST_NS = 1_000_000
 """The shortest time that is shown for wheels that came to rest after a stop. A time of 0 would mean that they were
 already still before the stop."""
 HEEDS_NS = 200_000_000
-"""A board that reports which commands it obeys must report motion within its echo time after motion was written. If it
-reports zero for this much longer, it counts as deaf."""
+"""This is for a board that reports which commands it obeys. If the board keeps reporting zero although motion is
+written, it counts as deaf after its echo time (Board.echo_ns) plus this time."""
 LATE_LOOK_NS = 200_000_000
-"""If the supervisor was held up, and first looks at the IMU's verdict this long after the stop's cause, it may have
-missed that the wheels were moving."""
+"""If the supervisor first looks at the IMU's verdict later than this after the stop's cause, for example because it was
+held up, it may have missed that the wheels were moving."""
 
 
 class Proof:
@@ -75,8 +75,8 @@ class Proof:
         if they were not seen still."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """True if the board accepts no bytes, so that the stop's bytes were still in the kernel when the outcome was
-        logged."""
+        """True if the stop's bytes were still in the kernel when the outcome was logged, because the board accepted no
+        bytes."""
         self.believed = True
         """False if the device to which the stop was written has not yet answered as the board does, so it may not be
         the board."""
@@ -134,8 +134,8 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """Return True, only once, when nothing more will become known about the stop. The outcome must then be
-        logged."""
+        """Return True if nothing more will become known about the stop, and the caller must log its outcome now. Later
+        calls return False, unless written_at_last() begins the proof again."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -199,13 +199,13 @@ class Link:
     """The state of the link to the board: whether the board at the open port hears what is written to it, and whether
     it sends anything. Pure.
 
-    unproven   the board has answered no ping since the port was opened. Perhaps it does not hear. This stops no motion
+    unproven   the board has answered no ping since the port was opened. Perhaps it does not hear. Motion is allowed
     alive      the board answers
     deaf       the board answered earlier and now does not, or it reports that it obeys zero while motion is written
     silent     the board sent reports earlier and now sends nothing. Perhaps it has no power, or its program has ended,
                or the wire from it is broken. Nobody can tell which, or whether the board still hears
     unheard    the port was lost and is open again, but the device at the port has not answered. It may not be the board
-    unasked    the board has no pings, so it can't answer. Nobody knows whether it hears. This stops no motion
+    unasked    the board has no pings, so it can't answer. Nobody knows whether it hears. Motion is allowed
 
     After a loss of the port, the state is unheard if the board was heard earlier in this run, or if the device may not
     be the board (finder.py). A deaf board may still send reports, so reports never prove that it hears.
@@ -227,7 +227,7 @@ class Link:
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
         """`_held_up_ns`: when the machine last held up a process that is needed to hear the board, or 0. `_unheard_ns`:
-        the length of a silence that was excused for this reason and is not reported yet."""
+        the length of the newest excused silence (_excused()), until pop_unheard() returns it."""
         self._true_ns = 0
         """When the newest answered ping was sent. If no ping was answered since the port was opened, the time when the
         port was opened."""
@@ -272,8 +272,8 @@ class Link:
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Do not count the board's silence until `now_ns`, and the pings up to `newest_ping_ns`, against the board.
-        Call this if its answers could not be read until now."""
+        """Ignore that the board was silent until `now_ns`, and that pings up to `newest_ping_ns` have no answer. Call
+        this if the board's answers could not be read until now."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
@@ -291,8 +291,8 @@ class Link:
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
         """Excuse the board's silence since `since_ns` if the machine has held up the service in that time. Returns True
-        if the silence is excused. It is then measured again from `now_ns`, and pop_unheard() returns its length. After
-        LONGEST_NS, a silence is not excused any more."""
+        if the silence is excused. pop_unheard() then returns the silence's length, and the next silence is measured
+        from `now_ns`. A silence of LONGEST_NS or longer is not excused."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -301,8 +301,8 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """Return the length of a silence that was excused because the machine held up the service, ns. Returns it only
-        once, otherwise 0."""
+        """Return the length of the newest silence that was excused because the machine held up the service, ns. Returns
+        0 if no silence was excused since the last call."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
@@ -352,7 +352,8 @@ class Link:
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
-        """Return True, once per opened port, if the device at a reopened port has not answered in time."""
+        """Return True if the device at a reopened port has not answered in time. After that, return False until a port
+        is opened again."""
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False
@@ -360,7 +361,8 @@ class Link:
         return self._missed
 
     def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
-        """Return True once when the board has become deaf. `newest_ping_ns`: when the newest ping was sent."""
+        """Check whether the board, which answered earlier, has become deaf. Returns True if this call has changed the
+        state to deaf. `newest_ping_ns`: when the newest ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
         if self.state != LINK_ALIVE or not self._asked_ns:

@@ -56,8 +56,8 @@ class Run:
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
         """Create everything except the run's name, which publish() creates. The caller must hold the instance's lock.
-        Raises segments.AttachError, instance.InstanceError or OSError, and then removes everything that it has
-        created."""
+        Raises segments.AttachError, instance.InstanceError or OSError. Before it raises, it removes everything that it
+        has created."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir

@@ -28,7 +28,8 @@ notifies the service manager and sends events to the journal."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
-    """The command line for a script of this package. `script`: the script's path inside the package."""
+    """The command line for a script of this package. `script`: the parts of the script's path inside the package.
+    `words`: further arguments, written as KEY=VALUE after `arguments`."""
     path = os.path.join(_PACKAGE, *script)
     return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
 
@@ -61,9 +62,9 @@ def reap(pid: int, options: int = os.WNOHANG) -> int | None:
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process with the supervisor, which has the same pid and inherits the lock and the open port. Without
-    the exec, the modules that the command line has imported would make the supervisor twice as large. `again`: the
-    command line that starts the same service again. Raises OSError."""
+    """Replace this process with the supervisor by exec. The supervisor has the same pid, and inherits the lock and the
+    open port. Without the exec, the modules that the command line has imported would make it twice as large. `again`:
+    the command line that starts the same service again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

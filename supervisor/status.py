@@ -149,8 +149,8 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Log `missing` after WAITED_NS, and later that motion can be enabled again. `missing`: why motion can't be
-        enabled, or empty. Call this once per turn."""
+        """Log why motion can't be enabled, if the reason has been the same for WAITED_NS. Later, log that motion can be
+        enabled again. `missing`: the reason, or an empty text if motion can be enabled. Call this once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -255,8 +255,8 @@ def lease_without_rights(settings: Settings) -> float:
 
 
 def cost(lease_s: float) -> str:
-    """What the service loses without real-time rights, as part of a sentence. A long lease notices hangs later. A short
-    lease stops the robot when a process only runs late."""
+    """What the service loses without real-time rights, as part of a sentence. With a long lease, hangs are noticed
+    later. With a short lease, the robot also stops if a process only runs late."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"

@@ -82,14 +82,14 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The name of the cause for which the robot was stopped because the link was bad, or empty. It becomes empty
-        again when motion has ended, or when the link is good."""
+        """The name of the cause of the newest stop for a bad link. Empty if there was no such stop, and again after
+        motion has ended or the link has become good."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
         """The causes that have been logged since the latched stop was latched."""
 
     def latched(self, stop: Stop) -> None:
-        """Record that a stop was latched. From now on, each other cause is logged once again."""
+        """Record that a stop was latched. Other causes that were logged before the stop may then be logged again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
@@ -110,8 +110,8 @@ class StopTracker:
             self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
-        """Log a stop, once it is known which process wrote it, or that it could not be written. `ending`: True if the
-        stop was written because the service ends."""
+        """Log a stop. Call this as soon as it is known which process wrote the stop, or that it could not be written.
+        `ending`: True if the stop was written because the service ends."""
         self._track(stop)
         # The kernel holds every burst for a moment. But a burst that queues behind bytes which the board has not taken
         # for a long time never gets out.
@@ -146,8 +146,8 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Begin to track the proof of this stop. Until a reset, an earlier stop that was written stays tracked instead,
-        because people still look at that stop."""
+        """Begin to track the proof of this stop. Does nothing if the tracked stop was written and there was no reset
+        since, because people still look at the tracked stop."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
@@ -201,11 +201,11 @@ class StopTracker:
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """Return a list with one stop if motion is enabled although the board is deaf or silent. Returns the stop only
-        once each time that someone enables motion. Otherwise returns an empty list.
+        """Return a list with one stop if motion is enabled although the board is deaf or silent, otherwise an empty
+        list. While the state stays the same, the stop is returned again only after motion was disabled.
 
-        The robot is also stopped if the board seems silent only because the machine held up the service. Nobody knows
-        then which commands the board has heard.
+        A stop is also returned if motion is enabled and the board seemed silent only because the machine held up the
+        service. In that case, nobody knows which commands the board has heard.
         """
         kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.pop_unheard()
         if unheard_ns and self._moves():

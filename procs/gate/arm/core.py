@@ -29,8 +29,8 @@ STEPS_APART_NS = 1_000_000
 """The shortest time between two calls of step(). Without this pause, an arm that has more work to do would keep the
 gate awake all the time."""
 NEAR = 0.5
-"""A trajectory has sent its last move when the commanded position of each joint is this close to the joint's end
-position, in pulses. Frames contain whole pulses, so they can't bring a joint closer."""
+"""After its planned time, a trajectory sends no further move if the commanded position of each joint is at most this
+far from the joint's end position, in pulses. Frames contain whole pulses, so they can't bring a joint closer."""
 LOST_NS = 2_000_000_000
 """A trajectory that takes this much longer than planned has failed."""
 FIND_NS = 4_000_000_000
@@ -62,8 +62,8 @@ class ArmCore:
         """The time when step() must be called next, even if nothing happens before. Each call of step() sets a later
         time."""
         self._left: dict[Joint, float] = {}
-        """On a bus whose servos go on to their last goal even after a stop (ServoBus.holds_by_goal): the last goal of
-        each joint of an ended stream, until the joint has arrived or has got a new goal."""
+        """The last goal of each joint of an ended stream that may still be moving to this goal. Always empty if
+        ServoBus.holds_by_goal is False."""
         self.letting_go: list[Joint] = []
         """The joints whose torque must still be switched off."""
         self.active_ns = 0
@@ -84,8 +84,8 @@ class ArmCore:
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Return the name of another client than `session` whose goal or trajectory counts now. Empty if there is no
-        such client."""
+        """Return the name of a client whose goal or trajectory counts now. The client of `session` is left out. Empty
+        if there is no such client."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
@@ -131,8 +131,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. It ends any other movement, and `why` is the reason that the other client gets. Returns
-        True if a stop must be written because the arm may still be moving."""
+        """Begin a trajectory. This ends any other movement. `why`: the reason for the client whose movement ends.
+        Returns True if a stop must be written because the arm may still be moving."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -310,16 +310,16 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Finish the trajectory once all of its joints were read after they stopped. It fails if one is not where it
-        must be. Returns the joints that must still be read."""
+        """Finish the trajectory if all of its joints were read after they stopped. The trajectory fails if a joint is
+        too far from its end position. Returns the joints that must still be read."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """Return a text about the first joint that was read too far from its position in `ends`. Empty if all joints
-        are in place."""
+        """Return a text about the first joint that is too far from its position in `ends`, or that was not read. Empty
+        if all joints are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -327,8 +327,8 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """Return a frame that switches on the torque of the next of these joints, or an empty frame if the servos' bus
-        is not free yet."""
+        """Return a frame that switches on the torque of one of these joints, the first whose torque is off. Returns an
+        empty frame if the servos' bus is not free yet."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -396,8 +396,8 @@ class ArmCore:
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
-        """Return why the last goal of a stream was not accepted, or why the arm can't go on toward it. Empty if the arm
-        follows the goal."""
+        """Return why the last goal of a stream was not accepted, or why the arm can't move toward this goal. Empty if
+        there is no such reason."""
         return self.refused or self._stream.blocked
 
 

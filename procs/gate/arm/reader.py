@@ -1,8 +1,9 @@
 """Reader: asks the servos one question at a time, and decides which answers can be trusted. Pure.
 
-The firmware does not match answers with questions. It returns a late answer as the answer to the next question. The
-question after that gets the value 0, as if a servo had answered. So the reader ignores the first answer after an
-unanswered question. It believes a position only if two readings in a row agree, and the value 0 only for the torque.
+The firmware does not match answers with questions. If an answer is late, the firmware returns it as the answer to the
+next question. It then answers the question after the next one with the value 0, as if a servo had answered. So the
+reader ignores the first answer after an unanswered question. It believes the position of a resting joint only if two
+readings in a row agree, and the value 0 only for the torque.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class ServoReader:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """Record that a servo was moved. ask() then waits until the servo has certainly stopped."""
+        """Record that a servo was moved. ask() then returns no question until the servo has certainly stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:

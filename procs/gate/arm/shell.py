@@ -264,8 +264,9 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Return why motion can't be enabled after the trajectory to the drive pose, or an empty text if it can. This
-        judges the joints' measured positions. If no servo of the drive pose answers, the setting arm.absent decides."""
+        """Return why motion can't be enabled after the trajectory to the drive pose. Empty if motion can be enabled.
+        This judges the joints' measured positions. If no servo of the drive pose answers, the setting arm.absent
+        decides."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:

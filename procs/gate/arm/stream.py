@@ -72,8 +72,8 @@ class Stream:
         self._apart_ns = 0
         """The time when the servos' bus is free again after the last move."""
         self._blocked: dict[Joint, str] = {}
-        """Why each group of joints can't go on toward the goal, or an empty text if it can. The key is the group's
-        first joint."""
+        """For each group of joints: why the group can't move toward the goal, or an empty text if it can. The key is
+        the group's first joint."""
 
     @property
     def on(self) -> bool:
@@ -85,7 +85,7 @@ class Stream:
 
     @property
     def blocked(self) -> str:
-        """The reason why a joint can't go on toward the goal. Empty if all joints can."""
+        """The reason why a joint can't move toward the goal. Empty if all joints can."""
         return next(filter(None, self._blocked.values()), "")
 
     @property
