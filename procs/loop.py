@@ -50,7 +50,7 @@ class Timer:
         self.ns = max(self.ns, until_ns)
 
     def pop(self, now_ns: int) -> bool:
-        """Return True if the timer is due, and go on to the following point in time."""
+        """If the timer is due, move on to the following point in time and return True. Otherwise return False."""
         if now_ns < self.ns:
             return False
         self.set(*self._then, NEVER)

@@ -26,16 +26,16 @@ closes the port."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """Return how long the port owner and the stopper stay alive after the supervisor's death, in ns. The board
-    receives the last repeat of the stop in this time."""
+    """Return how long, at least, the port owner and the stopper stay alive after the supervisor's death, in ns. In this
+    time, the board receives the last repeat of the stop."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
 DRAINED_NS = 5_000_000
 """How often to check whether the port still holds the stop."""
 _LINE = 1
-"""The line of futexes on which a Peer waits. Each watched process has a block of futexes, with one line for each
-process that watches it. Line 0 is the supervisor's."""
+"""The number of the futex on which a Peer waits. Each watched process has a block of futexes, one for each process that
+watches it. Such a futex is called a line. In the blocks that a Peer uses, line 0 is for the supervisor."""
 
 
 class Parent:
@@ -81,8 +81,8 @@ class Parent:
 
 
 class Peer:
-    """Watches one process for death. `life` is None until the process is started, and again after the stop for its
-    death was written."""
+    """Watches one process for death. `life` is the lifeline of this process. It is None until the process is started,
+    and again after the stop for its death was written."""
 
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
         """`port`: the port to which a thread writes the stop as soon as it learns of the death."""
@@ -102,8 +102,9 @@ class Peer:
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
-        """Watch the process whose pid the supervisor publishes: its pidfd at once, and its futex as soon as it reports
-        that it runs. Returns the pid of the previous process if its death was not noticed, otherwise 0."""
+        """Watch the process whose pid the supervisor publishes. Its pidfd is watched at once, and its futex when the
+        process has reported that it runs. Returns the pid of the previous process if its death was not noticed,
+        otherwise 0."""
         named = self._word.get()
         pid, block = records.unpack_life(named)
         died = 0

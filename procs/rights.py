@@ -19,11 +19,11 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""How long this process may run at real-time priority without a pause, us. The kernel kills it if it runs longer.
-Without this limit, an endless loop would take the core from every process of lower priority. On a computer with one
-free core, the processes that must stop the wheels because of the loop could not run either."""
+"""How long, in us, this process may run at real-time priority without a pause. The kernel kills it if it runs longer.
+Without this limit, an endless loop would take the core from every process of lower priority. If only one core is free,
+these are also the processes that must notice the loop and stop the wheels."""
 SUPERVISOR_LOOP_US = 500_000
-"""The same limit as LOOP_US, but for the supervisor, us. It is longer, because the service ends if the supervisor is
+"""The limit for the supervisor, in us, in place of LOOP_US. It is longer, because the service ends if the supervisor is
 killed. It can be longer, because the supervisor has the lowest priority on the stop path, so a loop in it delays no
 stop. The kernel counts whole ticks, even those in which a virtual machine did not get the processor. The limit must be
 shorter than the time after which the kernel pauses all real-time processes of a core (sched_rt_runtime_us)."""

@@ -1,13 +1,14 @@
 """Schedule: when to write the frames that are sent at set times: repeats of a stop, zeros, and pings. Pure.
 
 After a stop, the burst is repeated at times that suit the board, in case the board lost the first one. While the robot
-is stopped, a zero frame is written every 0.2 s, so that a board that restarts or wakes up soon gets a stop.
+is stopped, a zero frame is written every 0.2 s, so that a board soon gets a stop after it has restarted or woken up.
 
 Pings check that the board hears. They are written right after each stop, and otherwise once per period. The board
 handles frames in order, so the answer to a ping after a stop proves that the board was receiving when the stop arrived.
 
-A board has a few different pings, and each is sent again and again. An answer shows the ping, but not which sending of
-it. The order of the pings is random, so that after a loss the answers soon show how many were lost (board/handled.py).
+A board has a few different pings, and each is sent again and again. An answer shows which ping it answers, but not when
+this ping was sent. The order of the pings is random, so that after a loss the answers soon show how many were lost
+(board/handled.py).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PING_GAP_NS = 50_000_000
 """The shortest time between two pings."""
 
 QUICK = 10
-"""How many pings are sent in quick succession after a port was opened. Nobody knows whether the board hears until
+"""How many pings quickly follow the first one after a port was opened. Nobody knows whether the board hears until
 telemetry has read an answer, and telemetry takes some tenths of a second to start."""
 AGAIN_AFTER_STOP = 4
 """How many more pings follow the first ping after a stop. One answer may not be enough. If telemetry has died, answers
@@ -35,8 +36,8 @@ class Repeats:
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written. `zero_ns`: how long after a stop the first zero is
-        written. It counts from the last repeat if that repeat comes no earlier. Each process that writes stops has its
-        own times."""
+        written. If the last repeat comes at this time or later, the first zero is written `zero_ns` after the last
+        repeat. Each process that writes stops has its own times."""
         last_ns = max((0, *after_ns))
         self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
@@ -74,9 +75,9 @@ class Pings:
     """Decides when to write pings. `index` is the number of the ping to write next."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has. With 0, `due` must not be a timer of a loop, because it
-        stays due. `period_ns`: the usual time between two pings. `quick`: how many pings are sent in quick succession
-        at first."""
+        """`count`: how many different pings the board has. If it is 0, `due` stays due forever, so it must not be a
+        timer of a loop, which would never sleep. `period_ns`: the usual time between two pings. `quick`: how many pings
+        quickly follow the first one."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
@@ -114,8 +115,9 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Begin again with quick pings, because another port was opened. One answer is not enough, because it may seem
-        to answer a ping to the previous port. `hears_ns`: when the board at the new port begins to receive bytes."""
+        """Begin again with quick pings, because another port was opened. One ping is not enough, because its answer may
+        be taken for an answer to a ping to the previous port. `hears_ns`: when the board at the new port begins to
+        receive bytes."""
         self._quick = self._quick_first
         self.wait(hears_ns)
 

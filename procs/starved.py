@@ -4,8 +4,9 @@ is only used after a deadline has passed.
 | its state, from the kernel       | processor time since its beat | so the process                             |
 |----------------------------------|-------------------------------|--------------------------------------------|
 | R: runnable                      | less than half its deadline   | is starved: other processes ran instead    |
-| R: runnable                      | more                          | hangs: it is in an endless loop            |
+| R: runnable                      | half its deadline or more     | hangs: it is in an endless loop            |
 | D: waits in the kernel           | less than half its deadline   | is starved: it waits for memory or driver  |
+| D: waits in the kernel           | half its deadline or more     | hangs: a healthy turn needs less time      |
 | S: sleeps after its bell rang    | any                           | hangs: even its bell did not wake it       |
 | T, t, Z, X: stopped or dead      | any                           | hangs                                      |
 | unknown: nothing can be read     | any                           | hangs: an unknown state excuses nothing    |

@@ -117,8 +117,8 @@ class Slot:
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """Return the client's last report about itself, for people, as (time, what the program sees, what is wrong).
-        None if the session has reported nothing."""
+        """Return (time, what the program sees, what is wrong) from the client's last report about itself. The texts are
+        for people. None if the session has reported nothing."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
@@ -155,8 +155,8 @@ class ClientTable:
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Yield what is new in these slots, including claims that have ended. Call it once per tick for the active
-        slots. Call it now and then for all slots, because even the first ring of a new client may be lost."""
+        """Yield what is new in these slots, and the end of each session whose claim has ended. Call it once per tick
+        for the active slots. Call it now and then for all slots, because the ring of a new client may be lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
@@ -167,15 +167,15 @@ class ClientTable:
                 yield slot, "command", values
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
-        """Drop each client whose lifeline reports its death, even if the kernel is still freeing its memory, or if its
-        forked child still holds its claim."""
+        """Drop each client whose lifeline reports its death, and yield the end of its session. Its claim may still be
+        held, by a forked child, or because the kernel is still freeing the client's memory."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
         """Watch the client's process through its pid and its futex, so that its death is noticed at once. If neither
-        works, the tick after its claim has ended notices the death."""
+        works, look() notices that its claim has ended."""
         # If the client runs in a container, its pid means nothing here, or a different process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:

@@ -1,4 +1,4 @@
-"""Conditions for motion that must be confirmed again and again: the obstacle sensor, interlocks, and an operator's
+"""Conditions for motion, which clients must confirm again and again: the obstacle sensor, interlocks, and an operator's
 presence. Pure. Each confirmation has a time, from the clock of its sender."""
 
 from __future__ import annotations
@@ -9,15 +9,16 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import MS
 
 AHEAD_NS = 20 * MS
-"""How far ahead of the turn's time a time stamp may be. A record that was written after the turn began is a little
-ahead. A stamp that is further ahead comes from another machine's clock, and would count for too long."""
+"""How far in the future a time stamp may be. The gate takes the time once per turn of its loop, so a record that was
+written during the turn is a little in the future. A stamp that is further in the future comes from another machine's
+clock. Its confirmation would count for too long."""
 NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
 DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
-    """Return the time that counts for the time stamp `t_ns`: at most now, and 0 if it is more than AHEAD_NS in the
-    future. 0 is too old for any timeout."""
+    """Return the time that counts for the time stamp `t_ns`. A time in the future counts as now. If it is more than
+    AHEAD_NS in the future, it counts as 0, which is too old for any timeout."""
     return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
 
 
@@ -45,9 +46,9 @@ class ScanGate:
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """Return a note for people when the sensor's silence begins to block the wheels, and when the sensor is back;
-        otherwise None. `blocks`: True if the silence blocks the wheels. A silent sensor is never reported as back, even
-        if something else blocks the wheels first."""
+        """Return a note for people if the sensor's silence has just begun to block the wheels, or if the sensor is
+        back. Otherwise return None. `blocks`: True if the reason why the wheels are blocked is this silence. If the
+        reason has changed, but the sensor is still silent, the sensor is not reported as back."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -97,8 +98,9 @@ class Attendance:
         """The operator whose presence ended last, and how it ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """Record that an operator was present at `t_ns`. Does nothing if `t_ns` is longer ago than the lease, or before
-        the operator's previous proof. If the session names a new operator, the previous one has left."""
+        """Record that an operator was present at `t_ns`. This proof is ignored if it is older than the lease, or not
+        newer than the operator's last proof. If the session names a new operator, its previous operator has left in any
+        case."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
@@ -120,7 +122,7 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """Return when the last operator stops counting as present, unless a new proof arrives before."""
+        """Return the time from which no operator counts as present, unless a new proof arrives before that time."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:

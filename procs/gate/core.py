@@ -1,5 +1,5 @@
-"""The gate's decisions about the wheels. Pure: takes the time and all events as arguments, and returns frames and
-texts.
+"""The gate's decisions about the wheels. Pure: takes the time and all events as arguments, and returns wheel speeds,
+causes of stops, and replies.
 
 While the wheels are blocked, the reason is the first of these that applies:
 
@@ -9,9 +9,9 @@ While the wheels are blocked, the reason is the first of these that applies:
     cmd timeout       no source drives, because none has a command that is younger than its timeout
     no scan           the source that drives is not manual, and the obstacle sensor is silent
 
-While the wheels are blocked, the velocity is set to zero at once, without a ramp. Otherwise it moves toward the
-command, which is clamped to the limits. Each step changes it by at most the acceleration times the step's length, which
-counts as at most two periods.
+While the wheels are blocked, the velocity is set to zero at once, without a ramp. Otherwise the velocity moves toward
+the command, which is clamped to the limits. Each step changes the velocity by at most the acceleration times the time
+since the last step. If this time is longer than two periods, it counts as two periods.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ know why."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""For how many sessions and sources, at most, one gate process logs that a command was ignored."""
+"""One gate process logs ignored commands of at most this many pairs of a session and a source."""
 
 
 class GateCore:
@@ -86,9 +86,8 @@ class GateCore:
         self._driver_death = settings.text("gate.driver_death")
         self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
-        """The last command of each session that has sent one. If such a session dies, that counts as the death of a
-        driver, even if its source only waits or has fallen silent, because its program would drive again after a
-        restart."""
+        """The last command of each session that has sent one. If such a session dies, a driver has died, because its
+        program would drive again after a restart. This is so even if the session was not driving when it died."""
         self._movers: set[int] = set()
         """The sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
@@ -131,9 +130,9 @@ class GateCore:
         return min(ends_ns)
 
     def accept(self, command: Command, now_ns: int) -> Cause | None:
-        """Accept a new command. Returns the cause to stop for if a value is not finite, or if another program publishes
-        for the same source; otherwise None. A command for a source that its sender may not use is ignored, with a note.
-        A time stamp from the future counts as now."""
+        """Accept a new command. Returns the cause of a stop if a value is not finite, or if another program publishes
+        for the same source. Otherwise returns None. A command for a source that its sender may not use is ignored, with
+        a note. A time stamp from the future counts as now."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -160,9 +159,9 @@ class GateCore:
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
         """Drop the commands of a client that has gone. `parted`: True if it said goodbye. If a driver has died while
-        motion is enabled, the setting gate.driver_death decides: motion stays enabled, or it is disabled with a note,
-        or the cause to stop for is returned. If motion stays enabled, a note is added only if the client's command was
-        turning the wheels."""
+        motion is enabled, the setting gate.driver_death chooses one of three answers: leave motion enabled, disable it
+        and add a note, or return the cause of a stop. If motion stays enabled, a note is added only if the client's
+        command was turning the wheels."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -181,8 +180,8 @@ class GateCore:
 
     def driver_silence(self, now_ns: int) -> Cause | None:
         """Check whether the driver has just fallen silent while the wheels turned. Call it once per step. The setting
-        gate.driver_silence decides: a note is added, or motion is disabled with a note, or the cause to stop for is
-        returned. A person who lets go of a key only causes a note."""
+        gate.driver_silence chooses one of three answers: only add a note, disable motion and add a note, or return the
+        cause of a stop. If the driver is a person who has let go of a key, only add a note."""
         if not any(self.velocity) or self.sources.driving(now_ns):
             return None
         driver = self.sources.last_driver()
@@ -249,7 +248,7 @@ class GateCore:
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
         """Return the reply to the client that has enabled motion. It names the programs that may move the robot next:
-        the held ones (`held`), and those that commanded motion a moment ago."""
+        the held programs (`held`, see Sources.hold), and those that commanded motion a moment ago."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive{_or_end(held)}" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
@@ -321,8 +320,8 @@ def _toward(now: float, want: float, most: float) -> float:
 
 
 def _or_end(held: list[str]) -> str:
-    """Return the advice for held programs that never send zero. Empty if one of them is the gamepad, because a person
-    can let go of its stick."""
+    """Return the advice to end the held programs and start them again, because some programs never send zero. Empty if
+    one of them is the gamepad, because a person can let go of its stick."""
     if PAD_SOURCE in held:
         return ""
     it = "it" if len(held) == 1 else "them"

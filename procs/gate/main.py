@@ -45,8 +45,8 @@ HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "
 """The records of a client in the order in which they are read. Records that may forbid a command come before the
 command."""
 MOST_RINGS = 20
-"""The most wake-ups by clients that are handled between two ticks, about one per millisecond. Eight clients that
-command at 100 Hz need fewer."""
+"""The most wake-ups by clients that are handled between two ticks. With the usual period of 20 ms, this is one wake-up
+per millisecond. Eight clients that command at 100 Hz need fewer."""
 AUX_EVERY_NS = 10 * MS
 """The shortest time between two client frames that are not motion, so that a flood of them can't fill the line. A frame
 that comes sooner is dropped."""
@@ -307,8 +307,8 @@ class Gate:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _hear_telemetry(self, now_ns: int) -> None:
-        """Handle the gamepad's sticks, and telemetry's requests: resets, and frames that are not motion, for example
-        for the buzzer."""
+        """Handle the gamepad's sticks, and what telemetry requests: to reset a stop, or to pass on a frame that is not
+        motion, for example for the buzzer."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -354,8 +354,8 @@ class Gate:
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
-        """Enable motion, if nothing forbids it. If the arm has a drive pose, it goes there first. The returned reply
-        then reports progress, and the final reply comes when the arm is there."""
+        """Enable motion, if nothing forbids it. If the arm has a drive pose, the arm goes there first. In this case,
+        the returned reply only reports progress, and the final reply comes when the arm is there."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
@@ -431,8 +431,8 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed or is PUBLISH_NS old. A new scan time is not a change, because it comes
-        at every tick, and every reader would have to unpack the whole state."""
+        """Publish the state when it has changed or is PUBLISH_NS old. A new scan time does not count as a change. Scans
+        come all the time, and for each of them every reader would have to unpack the whole state."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0

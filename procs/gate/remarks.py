@@ -33,13 +33,15 @@ AGES = ("ms", "s", "min", "h", "day", "days")
 expression, because importing `re` would slow each start of the gate."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""The shortest time between two notes about drivers that fell silent. It is long because a program that commands less
-often than its timeout starts and stops the wheels again and again."""
+"""The shortest time between two notes about drivers that stopped driving, once HALTS_AT_ONCE notes were made. It is
+long because some programs pause between two commands for longer than their timeout. The wheels start and stop again and
+again, with a note for each stop."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """Return the note about a request that had an effect or was refused, or None if it changed nothing. `enabled`: True
-    if motion was enabled before the request."""
+    """Return the note about a request that was refused, or that has enabled or disabled motion, set the speed limit,
+    released the arm or reset a stop. None for any other request. `enabled`: True if motion was enabled before the
+    request."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))

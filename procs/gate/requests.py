@@ -82,7 +82,7 @@ class Requests:
         refused:
 
             a request that could start motion, if a stop or a request that replaces it came later
-            any request, if its client had given up waiting for the reply when this gate started
+            any request that was made so long before this gate started that its client waits for no reply any more
             a reset, if the person who requests it has not seen the newest stop
 
         `stopped_ns` and `last`: when the last stop was, and its cause.
@@ -119,8 +119,8 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the queued replies. First publish the state that results from the requests. A memory barrier (cell.py)
-        then makes sure that a client which has read its reply never reads an older state."""
+        """Write the queued replies. Call this only after the state that results from the requests was published. A
+        memory barrier (cell.py) makes sure that a client which has read its reply never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
@@ -157,8 +157,9 @@ class Requests:
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """Pass the supervisor's decision about the first reset in the queue to its client, if there is one. A decision
-        for an earlier gate is ignored, because this gate passes the client's request on once more."""
+        """If the supervisor has decided about the first reset in the queue, reply to the client that requested it, and
+        pass the next reset on to the supervisor. A decision for an earlier gate is ignored, because this gate passes
+        the client's request on once more."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return

@@ -110,8 +110,8 @@ class Sources:
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
         """Return (name, age of its last command in ns) of each program that commanded motion within the last
-        JUST_COMMANDED_NS and has paused since. Programs that a person drives by hand are left out. Don't hold these
-        programs, because each of their pauses would release them."""
+        JUST_COMMANDED_NS and has paused since. Programs that a person drives by hand are left out. The returned
+        programs are not held, because a held program is released by its first command after a pause."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -153,8 +153,8 @@ class Sources:
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
         """Return a table of the sources for people, the highest priority first. It has every source with a fresh
-        command, even a held one. It also has the last driver if that fell silent while commanding a velocity, unless a
-        person drove it by hand."""
+        command, even a held one. If the last driver fell silent while it commanded a velocity, its source is in the
+        table too, unless a person drove by hand."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

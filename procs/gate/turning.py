@@ -16,7 +16,7 @@ class TurningWatch:
         commanded."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """While motion is enabled and zero is commanded: since when this has been so. Otherwise 0."""
+        """The time since which motion is enabled and zero is commanded. 0 while this is not so."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
         """Return the reason why motion must be disabled, or an empty text if there is none. `idle`: True if motion is

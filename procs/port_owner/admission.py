@@ -19,7 +19,7 @@ The port owner stops by itself if it is the first to notice a cause. After that,
 epoch. A zero-speed frame is not dropped while the wheels may turn. It gets STAND_STILL instead, and the port owner
 writes a stop.
 
-For a frame for the servos, all these checks except the last are made too. These follow:
+For a frame for the servos, the same checks are made, except the last one. Then these are made:
 
     check                                                    if it fails
     the robot has an arm, and the frame is a whole one for   stop with a cause
@@ -30,8 +30,8 @@ For a frame for the servos, all these checks except the last are made too. These
       still blocks the receiver, and no servo moves. (Moving   for 5 ms
       servos don't matter if this board's arm may move while
       the wheels do.)
-    the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
-      less than HELD_NS                                        frames wait too, and are dropped when they are too old
+    the frame and those before it block the receiver for     wait, so that a stop never has to wait longer. Later
+      at most HELD_NS                                          frames wait too, and are dropped when they are too old
 
 While the board's receiver passes a frame on to the servos, all later frames wait for it, even a stop. A servo move may
 wait one or two milliseconds. It must not be dropped, because its joints would stop for one period.
@@ -130,8 +130,9 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Handle a change of the epoch. A higher epoch means that there was a stop. A lower epoch is a defect. Its
-        cause is returned, and motion is then admitted only in an epoch that is higher than every earlier one."""
+        """Handle a change of the epoch. A higher epoch means that there was a stop. A lower epoch is a defect: the
+        cause of a stop is returned, and from now on motion is admitted only in an epoch that is higher than every
+        earlier one."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)

@@ -135,7 +135,7 @@ class PortOwner:
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
         """Record a burst that was written for a cause which the port owner itself has noticed, and publish the cause.
-        It is also the stop of the present epoch, even if this process has not followed that epoch yet."""
+        The stop belongs to the newest epoch, even if _follow_epoch() has not noticed this epoch yet."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
@@ -208,8 +208,8 @@ class PortOwner:
 
     def _follow_epoch(self, now_ns: int) -> None:
         """Answer a new epoch, which means that there was a stop. Write a burst, unless the port owner has stopped by
-        itself in the previous epoch and no motion was written since. Also watch processes that were started again, and
-        stop if the one before has died unnoticed."""
+        itself in the previous epoch and no motion was written since. If a process was started again, watch the new one,
+        and stop if the death of the previous one was not noticed."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -385,7 +385,8 @@ class PortOwner:
         """Write an admitted motion frame. Set the word `moving`, then check epoch and time once more, then write.
 
         Other processes rely on this order. If one of them has raised the epoch and then reads 0 in `moving`, no
-        outdated frame is about to be written. It then need not kill a port owner that is starved at this point.
+        outdated frame is about to be written. So the other process need not kill a port owner that is starved at this
+        point.
         """
         self._moving_word.set(1)
         self._barrier()

@@ -46,9 +46,10 @@ class OpenPort:
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """The ring that records everything that the board will answer or echo. Each entry is made before its bytes are
-        written. If the bytes never get out, the entry counts as lost, which does no harm. But if an entry were missing,
-        the board's answer would seem to prove that a later write has arrived."""
+        """The ring that records everything that the board will answer or echo. The entry of a stop is made after the
+        stop was written. Every other entry is made before its bytes are written. If the bytes never get out, the entry
+        counts as lost, which does no harm. But if an entry were missing, the board's answer would seem to prove that a
+        later write has arrived."""
         self._ping_backlog = 2 * len(board.burst)
         """A ping is written only if at most this many bytes are on their way to the board. This is enough to write a
         ping directly behind a stop, so the board handles it right after the stop."""
@@ -70,7 +71,8 @@ class OpenPort:
             self._hears.set(now_ns + AGAIN_NS)
 
     def _configured(self) -> bool:
-        """Send the remaining settings. Returns True once the kernel has taken all of them."""
+        """Send the settings in `_settings_left`. Returns True if the kernel has taken all of them. Otherwise the next
+        call sends all of them again."""
         wire = self._wire
         for frame in self._settings_left:
             if not wire.frame(frame, len(frame) * len(self._settings_left)) or wire.unsent:

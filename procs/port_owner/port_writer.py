@@ -41,8 +41,8 @@ class PortWriter(StopPort):
 
     def heed(self) -> None:
         """Allow frames again after an early stop. Until then, only bursts are written. Call it just before the loop
-        looks for deaths. The loop then finds the death, because the thread marks its lifeline before it writes an early
-        stop."""
+        looks for deaths. The loop then finds the death, because the thread marks the dead process's lifeline before it
+        writes an early stop."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -69,8 +69,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """From now on, record everything that is written to the port in the black box (`ring`), and first the last
-        burst. Call this only after the first burst, because attaching the ring takes milliseconds."""
+        """Record the last burst in the black box (`ring`). From now on, also record everything that is written to the
+        port. Call this only after the first burst, because attaching the ring takes milliseconds."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 

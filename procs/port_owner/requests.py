@@ -22,12 +22,11 @@ class RequestPipe:
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """After a request the pipe is not read for a while. This timer is due when it is read again. NEVER if the pipe
-        is read now."""
+        """A timer that is due when the pipe's rest is over. It is NEVER while the pipe does not rest."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
-        """Return True if a stop is requested at this wake-up. Also end the pipe's rest if it is over."""
+        """Return True if a stop request has woken the port owner. If the pipe's rest is over, watch the pipe again."""
         if self._fd in ready:
             return True
         if self._rests.due(now_ns):

@@ -58,7 +58,7 @@ class Stopper:
         self._parent = Parent(context, self.loop, 1, self._port, early=False)
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
-        """The pid of the port owner whose death or hang the stopper last stopped for."""
+        """The pid of the last port owner whose death or hang the stopper has handled."""
         self._first_go, self._look_again, self._hang = (self.loop.timer() for _ in range(3))
 
     def turn(self, ready: dict[int, int]) -> bool:

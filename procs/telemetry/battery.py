@@ -18,8 +18,9 @@ nothing, because the motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""A new reading is compared only with readings that are older by more than this, in ns, and by at most JUMP_WINDOW_NS.
-The newest readings may already show a part of a step, because the firmware averages over about 3 s."""
+"""A new reading is compared only with earlier ones from the last JUMP_WINDOW_NS, but not with those from the last
+RECENT_NS. The newest readings may already show a part of a step, because the firmware averages the voltage over a few
+seconds."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled, in ns, before a step in the voltage counts as the charger's. When the motors
 begin or end to draw current, the voltage also makes a step, of up to 170 mV."""

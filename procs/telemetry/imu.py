@@ -46,9 +46,9 @@ class GyroBias:
                 -> kept        if the robot moved, or if motion was commanded. People are warned, and the bias stays as
                                it was before the calibration (zero at the first start).
 
-    After a calibration that succeeded, the bias is at first the plain average of all samples at rest, with those of the
-    calibration. When the average covers one time constant (imu.tracking_tau_s), the bias begins to follow the samples
-    with this time constant. After a calibration that failed, it follows them in this way at once.
+    After a calibration that succeeded, the bias is at first the plain average of all samples at rest, including those
+    of the calibration. When the average covers one time constant (imu.tracking_tau_s), the bias begins to follow the
+    samples with this time constant. After a calibration that failed, it follows them in this way at once.
 
     In a test with a constant bias, the heading of a robot at rest drifted by at most 0.10 degrees in 8 minutes (40
     seeds; docs/reference/telemetry.md).
@@ -67,7 +67,7 @@ class GyroBias:
         self._tracks = settings.on("imu.tracking")
         """False if the setting turns tracking off. The bias then never moves after the calibration."""
         self.samples: list[Vector] | None = [] if settings.on("board.imu") else None
-        """The samples of the calibration, or None once it has ended."""
+        """The samples of the calibration. None once it has ended, or if the board has no IMU."""
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None
@@ -76,7 +76,8 @@ class GyroBias:
         self.stationary = True
         """False if the calibration was given up because the robot moved, or because motion was commanded."""
         self.tracking = False
-        """True if the last sample moved the bias."""
+        """True if the bias may follow the last sample, because the robot was at rest. The bias does not move if this
+        sample came after too long a gap (LONGEST_GAP_NS)."""
 
     def inherit(self, bias_radps: Vector) -> None:
         """Continue with the bias that an earlier telemetry process found."""

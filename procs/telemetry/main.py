@@ -1,5 +1,6 @@
-"""Telemetry's loop: reads the board's bytes, decodes them and publishes the values. A stop button or the stop key makes
-the port owner stop. The gamepad's sticks and its reset become requests to the gate."""
+"""Telemetry's loop: reads the board's bytes, decodes them and publishes the values. If a stop button or the stop key is
+pressed, telemetry makes the port owner stop the robot. The gamepad's sticks and its reset become requests to the
+gate."""
 
 from __future__ import annotations
 
@@ -44,14 +45,14 @@ LONGEST_IDLE_NS = 50_000_000
 """The longest sleep of telemetry, in ns. While the robot is at rest, bytes from the board don't wake telemetry, so it
 reads them this often."""
 ODOMETRY_NS = 20_000_000
-"""How often odometry is published, in ns. The state of the wheels and the comparison of the speeds are published only
-in turns that also publish odometry."""
+"""How often odometry is published, in ns. The state of the wheels and the comparison of the speeds are never published
+more often, and always right after odometry."""
 SCALE_NS = 500_000_000
-"""How often the comparison of measured and commanded speeds is published."""
+"""How often the comparison of measured and commanded speeds is published while it does not change, in ns."""
 BIAS_NS = 80_000_000
 """How often the gyro's bias is published, in ns. It must come at 10 Hz or faster. But it is published only when
 something else wakes telemetry, so with a value of 100 ms it would come every 105 to 110 ms. The state of the wheels is
-published as often as the bias, and also after each report about the wheels."""
+published as often as the bias, and also with the next odometry after a report about the wheels."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
@@ -59,7 +60,7 @@ BATTERY_LOG = "battery log"
 
 class GateState:
     """The commanded motion, whether motion is enabled, and whether a stop is latched, as the gate has published them.
-    Before the gate's first state: zero, disabled, no stop."""
+    Before the gate has published anything, zero is commanded, motion is disabled, and no stop is latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -310,8 +311,8 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish when the board last sent bytes, and how long it may pause. Call this last, after everything else from
-        these bytes was published."""
+        """Publish the time when the board last sent bytes, and how long it may pause. Call this last, after everything
+        that was decoded from these bytes was published."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -368,8 +369,8 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """Make the port owner stop at once, if there is a cause. The stop pipe would not do here: anyone can write to
-        it, so its texts are only claims."""
+        """If there is a cause, make the port owner stop the robot at once. The stop pipe is not used for this, because
+        anyone can write to it, so its texts are only claims."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
@@ -404,8 +405,8 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Handle a report about the wheels. While these reports show whether the wheels are still, the IMU is not used
-        for that."""
+        """Handle a report about the wheels. While these reports show whether the wheels turn, the IMU is not used to
+        judge that."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)
@@ -432,7 +433,8 @@ class Telemetry:
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
-        """Publish what is known about the wheels. Called when odometry is published."""
+        """Publish whether the wheels turn, and their measured speeds and turns. Also react if they turn although zero
+        is commanded."""
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
@@ -446,7 +448,8 @@ class Telemetry:
         )
 
     def _act_unasked(self, now_ns: int) -> None:
-        """React if the wheels turn although zero is commanded."""
+        """If the wheels turn although zero is commanded, stop, repeat the last stop, or add a note, as `_unasked`
+        decides."""
         gate = self._gate
         act = self._unasked.update(
             self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()

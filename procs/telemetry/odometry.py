@@ -27,8 +27,8 @@ LONGEST_STEP_NS = 100_000_000
 """The longest time that one call of advance() adds up, in ns. If more time has passed since the last call, the rest is
 left out, because nobody knows what the wheels did in such a long gap."""
 MEAN_NS = 200_000_000
-"""If the board reports positions, the speeds are averaged over this time, in ns. In 50 ms, a single count may mean 0.2
-m/s."""
+"""If the board reports positions, the speeds are averaged over this time, in ns. Over only 50 ms, a single count of an
+encoder may change the speed by 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
 """How much a wheel slips, by layout: the standard deviation of its distance after 1 m, in m. The standard deviation
 grows with the square root of the distance. Wheels with rollers slip more: on a carpet, a mecanum base that goes

@@ -168,7 +168,7 @@ class Pad:
         self._last_ns = t_ns
 
     def _update_hold(self, buttons: int, t_ns: int) -> None:
-        """Follow whether MODE is held. The mode changes when a hold begins."""
+        """Follow whether MODE is held. When a hold of MODE alone begins, change the mode if that is allowed."""
         if buttons & self._mode_button:
             self._hold_frames_missing = 0
             if self._hold_ns is None:
@@ -201,7 +201,8 @@ class Pad:
         return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
 
     def _axis(self, raw: int) -> float:
-        """Return the position of an axis, from -1 to 1, or 0 within the dead zone. Raw values go down to -128."""
+        """Return the position of an axis, from -1 to 1, or 0 within the dead zone. The raw value -128 counts as -1,
+        like -127."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
 
