@@ -27,8 +27,8 @@ def fill() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error, wrapped at spaces on a terminal. Never raises, because the command must go on
-    even if the disk is full or the terminal is closed."""
+    """Print a line on standard error, wrapped at spaces on a terminal. Never raises, so that a full disk or a closed
+    terminal does not end the command."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):

@@ -117,16 +117,16 @@ def warn(text: str, end: str = "\n") -> None:
 
 
 def record(found: object) -> list[Line]:
-    """Convert a value to JSON, for programs. A value that JSON can't represent becomes its repr(), and such a key is
-    left out."""
+    """Convert a value to JSON, for programs. A value that JSON can't represent becomes its repr(). In a dict, an entry
+    whose key JSON can't represent is left out."""
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
 
 
 def bound(text: str, space: str) -> str:
-    """Replace the space between each number and its unit with `space`, at which another program does not break
-    lines."""
+    """Replace the space between each number and its unit with `space`. This is a space at which another program does
+    not break lines."""
     return _BEFORE_UNIT.sub(lambda _: space, text)
 
 

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 CONNECT_S = 3.0
-"""How long an attempt to connect may take, s."""
+"""How long an attempt to connect may take, in seconds."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
-"""The longest wait between two attempts to connect, s. Each wait is twice as long as the previous one, up to this
-limit."""
+"""The longest wait between two attempts to connect, in seconds, not counting SPREAD. Each wait is twice as long as the
+previous one, up to this limit."""
 SPREAD = 0.2
 """The share by which each wait is made longer or shorter at random. Otherwise all robots would connect at the same
 moment after a restart of the broker."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
-"""How long a client may take to connect again once it can reach the broker, s."""
+"""How many seconds a client may take to connect again once it can reach the broker."""
 NOT_YET = "not connected yet"
 NO_REASON = "Unspecified error"
 """The reason that paho-mqtt reports if the broker closes a connection without giving a reason."""
@@ -47,11 +47,11 @@ MOST_READS = 16
 """How often one turn() may read from the connection, up to client.READ_BYTES each time. The limit leaves time for other
 work during a flood of messages."""
 CLOSE_S = 1.0
-"""How long to wait for the broker to end the connection after this client has sent its goodbye, s."""
+"""How many seconds to wait for the broker to end the connection after this client has sent its goodbye."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long one call of deliver() may hand on messages with `newest_first`, s. The newest message comes first. After
-this time, the remaining messages are dropped."""
+"""If a Broker hands on the newest message first (`newest_first`), one call of deliver() may take this long, in seconds.
+After this time, the remaining older messages are dropped."""
 ONCE = 1
 """MQTT's quality of service 1: the broker stores a message until it is delivered. It stores at most a thousand for each
 client, and sends only a few of them at a time."""
@@ -89,7 +89,8 @@ class Broker:
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
         self.listening = False
-        """True once the broker has confirmed all subscriptions, so that no message is missed from then on."""
+        """True if the broker has answered all subscriptions. Then it sends every new message, except in the topics in
+        `denied`."""
         self.denied: tuple[str, ...] = ()
         """The topics that the broker does not let this client read."""
         self._unconfirmed: dict[int | None, str] = {}
@@ -197,8 +198,9 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. With `newest_first`, messages that are left after HEAR_S are dropped.
-        This happens only in a flood of messages, and the sender of a fleet stop repeats it."""
+        """Call `hear` with each message that was read. With `newest_first`, messages that are left after HEAR_S are
+        dropped. This happens only in a flood of messages. A dropped fleet stop is not lost, because its sender repeats
+        it."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:

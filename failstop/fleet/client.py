@@ -12,13 +12,15 @@ READ_BYTES = 1 << 16
 
 
 class Client(client.Client):
-    """A client of paho-mqtt whose messages wait in `wire`. No callback delivers them."""
+    """A client of paho-mqtt. Received messages wait in `wire` until somebody takes them from there. paho-mqtt does not
+    see them, and calls no callback for them."""
 
     wire = MqttWire()
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        """Return the next received bytes for paho-mqtt. Messages are left out, and stay in `wire`. If no bytes wait,
-        read the connection once. Raises BlockingIOError if that brings only messages."""
+        """Return the next received bytes for paho-mqtt. They contain no messages, because messages stay in `wire`. If
+        no such bytes wait, read the connection once. Empty if the connection has ended. Raises BlockingIOError if no
+        byte that was read is for paho-mqtt."""
         if not self.wire.holds():
             data = super()._sock_recv(READ_BYTES)
             if not data:

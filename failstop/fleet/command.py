@@ -37,12 +37,12 @@ failstop fleet publish               # run this on each robot
 
 
 WATCH_S = 0.25
-"""The time between two updates of the screen, s."""
+"""The time between two updates of the screen, in seconds."""
 LIST_S = 1.5
-"""How long to wait until the broker has sent everything that it has stored, s."""
+"""How many seconds to wait until the broker has sent everything that it has stored."""
 LONGEST_STOP_S = 3600.0
 PROGRESS_S = 0.25
-"""The time between two updates of the progress line, s."""
+"""The time between two updates of the progress line, in seconds."""
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 
@@ -69,12 +69,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Carry out the action that the user has named, for example `stop`. Raises FleetError, SettingError."""
+    """Carry out the action that the user has named, for example `stop`. Raises FleetError or SettingError."""
     return ACTIONS[arguments.action or "watch"][0](arguments)
 
 
 def _seconds(text: str) -> float:
-    """Parse the value of --wait, s. Raises ArgumentTypeError."""
+    """Convert the value of --wait to seconds. Raises ArgumentTypeError if the value is not allowed."""
     try:
         found = float(text)
     except ValueError:
@@ -119,7 +119,8 @@ def _publish(arguments: Namespace) -> int:
 
 def _status(deaf: str, doubled: str) -> str:
     """Return the status of this robot's publisher in systemd's format. `systemctl status` and `failstop doctor` show
-    it."""
+    it. `deaf`: why the robot would obey no fleet stop. `doubled`: a warning if another publisher uses the robot's name.
+    Either may be empty."""
     if deaf:
         return f"STATUS=obeys no fleet stop: {words.printable(deaf)}\nERRNO={errno.ENOTCONN}"
     if doubled:

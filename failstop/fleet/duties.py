@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from failstop.fleet.replay import Seen
 
 FOLLOWED_S = 6.0
-"""How long the robot watches the progress of a stop, s. After this time, no further proofs of the stop are expected."""
+"""How long the robot watches the progress of a stop, in seconds. After this time, no further proofs of the stop are
+expected."""
 AGAIN_EVERY_S = 0.25
-"""The shortest time between two answers to a stop that its sender repeats, s."""
+"""The shortest time between two answers to a stop that its sender repeats, in seconds."""
 MOST_DUTIES = 32
 UNWRITTEN = "latched but NOT written, so the board did not get it"
 FORGOTTEN = "requested, but then its publisher was restarted, so nobody knows whether the robot stopped"
@@ -41,7 +42,7 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """Read the levels that the stop has reached from the service's state. Returns True if one of them is new."""
+        """Find out from the service's state which levels the stop has reached. Returns True if one of them is new."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False

@@ -59,11 +59,11 @@ class StopAnswer:
     """A robot's answer to a fleet stop."""
 
     id: str
-    """The id of the stop that it answers."""
+    """The id of the stop that is answered."""
     robot: str
     reached: dict[str, float]
-    """All levels that the stop has reached on this robot. The value of a level is the time from the request until the
-    stop reached it, s."""
+    """All levels that the stop has reached on this robot. The value of a level is the time in seconds from the request
+    until the robot's publisher saw that the level was reached."""
     why: str = ""
     """Why the stop was refused or has failed. Otherwise empty."""
     confirms: str = ACKNOWLEDGED

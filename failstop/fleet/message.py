@@ -38,8 +38,8 @@ LATEST_S = 1e11
 
 
 class Header:
-    """Adds the fields that every message of a robot has, such as the message's number, which counts separately in each
-    topic."""
+    """Adds the fields that every message of a robot has, for example the message's number. Each topic has its own
+    numbers, from 0 on."""
 
     def __init__(self, fleet: str, robot: str, publisher: str = "") -> None:
         """`publisher`: the random number of this publisher (twins.py)."""

@@ -8,25 +8,25 @@ from failstop.procs.handover import Control, HeldPort
 from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
-"""If bytes may have waited for this long, in ns, they count as old, so they get the earliest time at which they can
-have come. Otherwise an old answer might be taken for the answer to a newer ping (procs/schedule.py), and an old
-position of a stick might command motion."""
+"""Bytes that may have waited at the port for this long, in ns, count as old. Their time is then the earliest time at
+which they can have come. With a later time, an old answer might be taken for the answer to a newer ping
+(procs/schedule.py), and an old position of a stick might command motion."""
 
 PROVED_NS = 3_000_000_000
 """How long after a stop the board's bytes may still prove something about the stop (supervisor/proof.py)."""
 
 
 class HeardPort:
-    """Reads the port's bytes. The time of the bytes is the time of the read, but old bytes (LATE_NS) get the earliest
-    time at which they can have come."""
+    """Reads the port's bytes, and notes when they came. This is the time of the read, or for old bytes (LATE_NS), the
+    earliest time at which they can have come."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
         """The last time when no bytes were waiting at the port."""
         self._epoch = self._proved_ns = self.waited_ns = 0
-        """`waited_ns`: how long the last bytes may have waited before they were read, in ns. 0 if they are old
-        (LATE_NS)."""
+        """`waited_ns`: how much earlier the last bytes may have come than the time that poll() gave them, in ns. It is
+        0 for old bytes (LATE_NS), because poll() gave them the earliest possible time."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
@@ -43,8 +43,8 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """Choose what wakes telemetry: new bytes while `busy` and for PROVED_NS after each stop, otherwise only the
-        loss of the port. `epoch`: the current epoch, which each stop raises."""
+        """Choose what wakes telemetry. New bytes wake it while `busy` is True, and for PROVED_NS after each stop. At
+        all other times, only the loss of the port wakes it. `epoch`: the current epoch, which each stop raises."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)

@@ -16,13 +16,15 @@ FORGOTTEN_NS = 500_000_000
 """A report about the obeyed command says nothing about the present once it is older than this, in ns."""
 PAUSE_NS = 100_000_000
 """If the reports about the obeyed command pause for longer than this (in ns) and for longer than two of their periods,
-nobody knows what the board obeyed during the pause. If the board obeys zero, this then counts only from the first
-report after the pause. Even that report may be old, because a stalled adapter delivers reports late."""
+nobody knows what the board obeyed during the pause. The time in which the board obeys zero is then counted only from
+the first report after the pause. Even that report may be old, because a stalled adapter delivers reports late."""
 
 
 class Proving:
-    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It continues after the answers that an
-    earlier telemetry process has handled."""
+    """Publishes three facts: the newest ping that the board has answered (`answered`), the time up to which the board
+    has handled every write (`proved`), and since when the board obeys zero although motion is commanded
+    (`unheeded_ns`). Everything that was written before the last ping that an earlier telemetry process saw answered
+    counts as handled."""
 
     def __init__(self, context: Context) -> None:
         own = context.own
@@ -45,7 +47,7 @@ class Proving:
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """Record an answer to one of the pings in `indices`."""
+        """Record an answer of the board. `indices`: the pings that this answer fits; it answers one of them."""
         before_ns = self._handled.asked_ns
         self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:

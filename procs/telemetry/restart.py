@@ -23,7 +23,7 @@ MISSING = 0.6
 """A pause in the reports counts as a restart only if at least this share of the reports that were due in the pause
 never comes."""
 FASTER = 1.5
-"""Between two reports, a counter may change this many times as fast as the fastest change that was seen before."""
+"""Wheels can't turn a counter faster than this many times the fastest change that was seen before."""
 FADES = 0.98
 """At each report, the fastest change that was seen is multiplied by this, so that it is forgotten with time."""
 LEAST_FALL = 10.0
@@ -46,7 +46,7 @@ class RestartWatch:
         self.forget()
 
     def forget(self) -> None:
-        """Begin again, for example after another port was opened."""
+        """Forget all reports, for example after another port was opened."""
         self._last_ns = self._other_ns = 0
         """`_last_ns`: when the last regular report came. `_other_ns`: when the last report of another kind came."""
         self._learned = (0, 0)

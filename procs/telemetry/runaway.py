@@ -72,8 +72,9 @@ class Limits(Data):
     """The longest time between two reports."""
     share: float
     rps: float
-    """The allowed difference that does not depend on the command, in turns per second: Margins.rim_mps and one step of
-    the rounded commands. A speed below this counts as zero."""
+    """The allowed difference that does not depend on the command, in turns per second. It is the sum of
+    Margins.rim_mps, as turns per second, and the step to which the board rounds commands. A speed below this counts as
+    zero."""
     counts: float
     """Counts per turn of a wheel, or 0 if the board reports speeds."""
     braking_rps2: float
@@ -82,8 +83,8 @@ class Limits(Data):
     """A wheel may stand still if its commanded speed is below this, in turns per second."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """Return how long a wheel may turn too fast before it can count as run away, ns: BEYOND_NS plus the time to
-        slow down from `told_rps`."""
+        """Return how long, in ns, a wheel may turn too fast before it can count as run away. This is BEYOND_NS plus the
+        time to slow down from `told_rps`."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
@@ -137,9 +138,9 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """Four sums over the reports in which the wheel was too fast or turned in the other direction. The first two
-        are for the first half of that time: the sum of speed times weight, and the sum of the weights. The last two are
-        the same sums for the second half."""
+        """Four sums over the reports of a wheel that turns too fast or the wrong way. The first two are for the reports
+        until `second_ns`: the sum of speed times weight, and the sum of the weights. The last two are the same sums for
+        the later reports."""
         self.stand_noted = False
         """True if it was already reported that the wheel stands still."""
 
@@ -163,9 +164,9 @@ class _Wheel:
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """Return True if the wheel slows down (see SLOWS) even if the reports are off by `count` and `late_ns`. Also
-        return True if one of the two halves has no report. `count`: one count of the encoder, in turns times ns.
-        `late_ns`: how late a report may be."""
+        """Return True if the wheel certainly slows down (see SLOWS), or if one of the two halves has no report. It is
+        certain if the errors of the reports can't explain the lower speed. `count`: the error of one count of the
+        encoder, in the unit of `halves` (turns per second times ns). `late_ns`: how late a report may be."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -225,7 +226,8 @@ class RunawayJudge:
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
         """Add a report: the speed of each wheel in turns per second, or how far each has turned, by wire id. Returns
         the first wheel that has run away, or stands still although it should turn. Returns None if all is well or
-        nothing can be said. A wheel that still does not slow down is returned again after the whole allowed time."""
+        nothing can be said. A wheel that has run away is returned again if it still has not slowed down after
+        Limits.rolls_ns()."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -284,8 +286,9 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """Return the longest gap between two reports, ns, in which a wheel counts as too fast because both reports say
-        so. Positions allow a longer gap, because they show how far the wheel has turned in the gap."""
+        """Return the longest allowed gap, in ns, between two reports of a wheel that turns too fast. After a longer
+        gap, the time in which the wheel turns too fast is counted from the beginning again. Positions allow a longer
+        gap, because they show how far the wheel has turned in the gap."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

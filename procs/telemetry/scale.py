@@ -29,11 +29,12 @@ RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
 """How many seconds of motion must have been compared before a difference counts. The first value is for the sums
 Ratio.risen, and the second for Ratio.reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
-"""Such a value, divided by the compared seconds, is added to the allowed factor. So after a short comparison only a
-large difference counts. The first value is for the sums Ratio.risen, and the second for Ratio.reached."""
+"""How much larger the allowed factor is after one compared second. After a comparison of n seconds, this is divided by
+n. So after a short comparison, only a large difference counts. The first value is for the sums Ratio.risen, and the
+second for Ratio.reached."""
 FORGET_S = 10.0
-"""When more than this many seconds were added up, all sums are halved. So the comparison follows the robot if, for
-example, its load changes."""
+"""When a Sum covers more than this many seconds, its values are halved. So newer motion counts more, and the comparison
+follows the robot if, for example, its load changes."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
 """Commands below these (turns per second, rad/s) are not compared. They are rounded coarsely, and may be too small to
 start a motor."""
@@ -145,8 +146,8 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare the commanded with the measured motion since the last call. Returns True if `wrong` or `remarks` has
-        become empty, or is no longer empty.
+        """Compare the commanded with the measured motion since the last call. Returns True if there is now
+        something in `wrong` or in `remarks` where nothing was before, or the other way round.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
         `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.

@@ -23,8 +23,9 @@ DESCRIBED_PAUSES = 4
 """If the board's description gives the longest pause of a healthy board, a pause this many times as long is silence."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the board's description gives no pause, at least this many pauses are measured, for at least SEEN_FOR_NS. Until a
-measurement has ended, the board never counts as silent."""
+"""If the board's description gives no pause, at least this many pauses are measured, for at least SEEN_FOR_NS. Until
+the first measurement has ended, a board whose wheel reports come at an unknown rate counts as silent after
+DESCRIBED_PAUSES times UNKNOWN_EVERY_NS. Until then, a board that does not report its wheels never counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
 """After the board's usual pauses were measured, a pause counts as silence if it is at least MEAN_PAUSES times as long
 as their mean, and at least LONGEST_PAUSES times as long as the longest of them. If the machine is held up, the measured
@@ -79,6 +80,7 @@ class Silence:
             self._begun_ns = came_ns
 
     def forget(self) -> None:
-        """Begin again, because the port is gone and the next bytes may be from a different device."""
+        """Forget what has come, and begin the measurement again. Call this if the port is gone, because the next bytes
+        may be from a different device. `patience_ns` stays."""
         self.said_ns = self._understood_ns = self._regular_ns = 0
         self._longest_ns = self._pauses = 0

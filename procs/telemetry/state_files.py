@@ -17,10 +17,10 @@ THREAD_STACK_BYTES = 256 * 1024
 """The stack size of the thread that writes. It is small, because the whole stack counts against the limit of locked
 memory, although only the part that is used is locked."""
 MOST_READ = 4096
-"""The most bytes of a file that are read. Each of these files holds one line."""
+"""The most bytes that read() takes from a file. The files that are read hold only one line."""
 MOST_JOBS = 100
-"""How many jobs may wait for the disk. More are dropped. With one line every 10 s, this is enough for a quarter of an
-hour."""
+"""How many jobs may wait for the disk. If this many wait already, a new job is dropped. With one line every 10 s, this
+is enough for a quarter of an hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
@@ -56,13 +56,13 @@ class StateFiles:
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
-        """The files whose last write failed, each with the reason. The thread uses this; the loop does so only if no
-        thread could be started."""
+        """The files whose last write failed, each with the reason. Only the thread uses this dict. If no thread could
+        be started, the loop uses it."""
         self._running = False
 
     def read(self, what: str, name: str) -> str:
         """Return the text of a file, or an empty text if it does not exist or can't be read. Call this only at the
-        start, because it waits for the disk."""
+        start, because it waits for the disk. `what`: what the journal calls this file."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:

@@ -2,13 +2,12 @@
 
 The reaction depends on the state of the gate:
 
-    motion enabled         nothing, because the gate reads the same fact and disables motion with a burst
-    motion was disabled    write the stop again; if the wheels still turn after still.after_s, latch a stop (UNSTILL)
-      because they turned
-    motion disabled for    write the stop again, and report it: somebody pushes the robot, or another program drives it
-      another reason
-    a stop is latched      nothing until the wheels were once seen still, because the supervisor watches the stop until
-                           then; after that, the same as if motion is disabled for another reason
+- Motion is enabled: telemetry does nothing, because the gate reads the same fact and disables motion.
+- Motion is disabled: telemetry has the stop written again, and reports that somebody pushes the robot or another
+  program drives it. If motion was disabled because the wheels turned, and they still turn after still.after_s,
+  telemetry latches a stop (UNSTILL).
+- A stop is latched: telemetry does nothing until the wheels were once seen still, because the supervisor watches the
+  stop until that moment. After that moment, telemetry has the stop written again and reports the motion.
 
 If only an IMU shows the motion, telemetry just logs a note, because a robot that is carried shakes too.
 """
@@ -32,7 +31,7 @@ class Reaction(Data):
     cause: Cause | None
     """The cause of a stop that must be latched, or None."""
     again: bool
-    """True if the stop must be written again, without a cause."""
+    """True if the stop must be written again. This does not latch a stop."""
     note: Note | None
 
 

@@ -36,7 +36,7 @@ meanwhile."""
 SAME_READ_NS = 5_000_000
 """Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""How long a counter that has started again at zero can have counted before its first report comes, in ns."""
+"""If a counter has started again at zero, its first report may come up to this much later, in ns."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
@@ -182,16 +182,18 @@ class Measured:
 
 
 class Way:
-    """Checks whether the wheels have really moved since they were last at rest. The count of an encoder that rests on
-    an edge may flip back and forth. This matters only if the board reports positions and no speeds."""
+    """Checks whether the wheels have really moved since they were last at rest. If a wheel rests on an edge of its
+    encoder, its count may flip back and forth although the wheel does not move. This matters only if the board reports
+    positions and no speeds."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """Return True if the wheels have moved by at least LEAST_COUNTS. Always True if the board reports speeds, or no
-        positions. `turns`: the turns of each wheel. `rest`: True if the wheels are at rest now."""
+        """Return True if a wheel has moved by at least LEAST_COUNTS since the wheels were last at rest. Also return
+        True if the board reports speeds, or if it does not count turns. `turns`: the turns of each wheel. `rest`: True
+        if the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):

@@ -33,8 +33,8 @@ BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN":
 after the operator has closed it, so an absent operator would count as present. Each key is a process name, and its
 value is the program's name for people."""
 PLACES = 60
-"""The number of columns that the questions to the terminal use, one after the other. A question is asked every 0.1 s,
-so each column is used again after 6 s."""
+"""How many columns of the terminal are used. Every 0.1 s, the cursor moves to the next of these columns, and the
+terminal is asked where the cursor is. So each column is used again after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
 """Matches an incomplete answer at the end of the bytes."""

@@ -122,8 +122,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """Return the path of the incident file that the user has asked for. For the last incident, first wait for the file
-    of a stop that is still being saved. Raises IncidentError."""
+    """Return the path of the incident file that the user has asked for. If the user wants the last incident
+    and a stop is still being saved, first wait for the file of this stop. Raises IncidentError."""
     # The shell splits a date and a time into two words.
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:

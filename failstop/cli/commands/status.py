@@ -193,8 +193,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """Return the last events, one in each row, as many as fit into `room` rows. They leave out the next step, because
-    the screen shows it higher up."""
+    """Return the last events, one in each row, as many as fit into `room` rows. The advice at the end of an event's
+    text is left out, because the screen shows it higher up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

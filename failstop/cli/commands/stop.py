@@ -51,7 +51,7 @@ NO_USE = {
     "not-a-tty": "is not a serial port",
     "permission": "may not be opened by the user who made that run",
 }
-"""Why the port of the last run was not used, by the kind of its error, as the end of a sentence."""
+"""For each kind of PortError, why the port of the last run was not used, as the end of a sentence."""
 
 EXAMPLES = """\
 failstop stop
@@ -98,7 +98,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the command. Raises FailstopError if no stop could be written in time, or SettingError.
+    """Run the command. Raises FailstopError if no stop could be written in time, and SettingError if the value of an
+    option is not allowed.
 
     Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases:
 
@@ -287,10 +288,10 @@ class Target:
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
         self._instead = ("", 0)
-        self._instead_of = ""
-        """Why the port of the last run could not be used, as the end of a sentence."""
         """The port to which the stop was written because the port of the last run could not be used, and the uid of the
         user whose settings file names it. ("", 0) if this did not happen."""
+        self._instead_of = ""
+        """Why the port of the last run could not be used, as the end of a sentence."""
         self._stopped = False
         """True once a stop was written. From then on, board() may run the user's own Python code for the board. Asking
         the board for an answer needs that code."""
@@ -324,9 +325,12 @@ class Target:
 
     def board(self) -> Board:
         """Return the board at the port. Its kind comes from the last run if that run used this port, else from the
-        settings file, else from the default. Until a stop is written, a stop that the last run saved for this kind
-        takes precedence. Your own board's code must not run before a stop is written, and the settings may have changed
-        since the last run. Raises FailstopError if the board can't be made."""
+        settings file, else from the default. Raises FailstopError if the board can't be made.
+
+        If the last run has saved the stop bytes for this kind of board, these bytes are used until a stop is written.
+        There are two reasons: the user's own Python code for a board must not run before a stop is written, and the
+        settings may have changed since the last run.
+        """
         kind = self._named_kind() or str(DEFAULTS[KIND])
         known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
         if known and is_own(kind) and not self._stopped:
@@ -463,7 +467,8 @@ class Target:
 
     def unheard(self, *, patient: bool) -> bool:
         """Ask the board for an answer, and print the result. Returns True if this kind of board can answer, but was
-        silent. `patient`: as in stop_tool.answered()."""
+        silent. `patient`: True to ask a silent board again after a wait, because opening the port resets some
+        boards."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
             standard.print_line(

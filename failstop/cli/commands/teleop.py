@@ -169,8 +169,8 @@ class Pilot:
 
     def _drop_old_note(self, state: State) -> None:
         """Drop the note if the state has changed since the last call, unless the note is newer than that call. If
-        motion was disabled, also forget that this program has enabled it. Otherwise it might later disable motion that
-        somebody else has enabled."""
+        motion was disabled, also forget that this program has enabled motion. Otherwise this program might later
+        disable motion that somebody else has enabled."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -204,8 +204,8 @@ class Pilot:
             self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
-        """Act on a key that does not move the robot. Every such key, even an unknown key, lets go of the motion keys.
-        Only the keys for the speed don't."""
+        """Act on a key that does not move the robot. A key for the speed changes only the speed. Any other key, even an
+        unknown one, also stops the motion, as if the held motion key was released."""
         if key in STEPS_PERCENT:
             self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:

@@ -34,7 +34,7 @@ ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL,
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     """Return the list of incidents, the newest last. Each has its id, its time, its cause, and the proof of its stop.
-    If the wall clock was set, it also has a note."""
+    If the wall clock jumped before an incident, that incident also has a note."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
@@ -162,7 +162,8 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
-    """Return the lines of the story. An event that is too long for one row is cut, or wrapped if `whole`."""
+    """Return the lines of the story: the events around the stop, in the order of time. An event that is too
+    long for one row is cut, or wrapped if `whole`."""
     found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE

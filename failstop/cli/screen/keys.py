@@ -7,8 +7,8 @@ timeout (0.3 s). So the robot stops when the bytes end, for example because the 
 or a program is suspended.
 
 Even a tap drives the robot for one command timeout. The terminal begins to repeat a key 250 to 660 ms after the press.
-If the command timeout ends earlier, the wheels stop in between. After a release, the robot drives until one command
-timeout after the key's last repeat.
+If the command timeout is shorter than this delay, the wheels stop for a moment before the key repeats. After a release,
+the robot drives until one command timeout after the key's last repeat.
 """
 
 from __future__ import annotations
