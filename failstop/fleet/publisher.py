@@ -56,7 +56,7 @@ BUSY_STATE_S = 1.0
 robots would delay the robots' answers to the stop."""
 FIRST_LOOK_S = 0.003
 """The time from the request of a stop to the first look at the robot's state, s. By then the service has usually
-written the stop, so the first answer can already say so."""
+written the stop to the board, so the first answer can already report that the stop is written."""
 CHANGES_S = 1.0
 """The shortest time between two state messages if only values such as a velocity have changed, s."""
 MOST_EVENTS = 20
@@ -66,13 +66,13 @@ FORGED_S = 60.0
 """How long a forged stop is reported as an error after it has arrived, s. A forged stop is one that was not signed with
 the fleet's key."""
 CLOSE_S = 1.5
-"""How long the broker may take to confirm that this publisher has ended, s."""
+"""How long close() waits until the broker has confirmed the message that this robot is offline, s."""
 SEEN = "fleet-stops.json"
 NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """The robot's service on this computer, which is found again after a restart."""
+    """The robot's service on this computer. If the service is restarted, the next call finds its new run."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -214,7 +214,7 @@ class Publisher:
         )
 
     def busy(self, now_s: float) -> bool:
-        """Return True while the progress of a fleet stop is being watched."""
+        """Return True while this robot watches the progress of a fleet stop."""
         return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
@@ -282,8 +282,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Handle a message: a fleet stop, which may be forged, or a connection message with this robot's name, which
-        may come from another publisher."""
+        """Handle a message: either a fleet stop, or a connection message with this robot's name. The fleet stop may be
+        forged, and the connection message may come from another publisher."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -344,8 +344,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """Read which stops were obeyed earlier. If the file can't be read, a recorded stop could work again until its date
-    is older than the tolerance."""
+    """Read which stops were obeyed earlier. If the file is missing or can't be read, a recorded stop can work again
+    while its date is within the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:

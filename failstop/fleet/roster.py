@@ -18,8 +18,8 @@ MOST_VOLTS = 1000.0
 MOST_TEXT = 200
 """The longest text of a robot that is kept, characters."""
 LONGEST_PERIOD_S = 30.0
-"""The largest value of the setting robot.publish_s, the longest time between two state messages, s. It is assumed for a
-robot that does not report its own period."""
+"""The largest allowed value of the setting robot.publish_s, s. That setting says how often a robot publishes its state
+even if the state does not change. If a robot does not report its setting, this value is assumed."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
 """The time that is allowed for delays of the network, s. A robot counts as lost if it has been silent for longer than
@@ -71,16 +71,17 @@ class Robot:
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """Return how long the robot has shown no sign of life, s. If all its messages came from the broker's store, the
-        date in the last of them counts. The result is then too small if the robot's clock is ahead."""
+        """Return how long the robot has shown no sign of life, s. If all its signs of life came from the broker's
+        store, the newest date in them is used. If the robot's clock is ahead, the result is then too small."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
         return watched_s if self.dated_s is None else max(watched_s, unix_s - self.dated_s)
 
     def silent_after_s(self) -> float:
-        """Return how long a robot may be silent until it counts as lost, s. The limit also applies to a robot that the
-        broker reports as ONLINE. The broker keeps this report if the robot is switched off while the broker is down."""
+        """Return how long a robot may be silent until it counts as lost, s. This limit also applies to a robot that the
+        broker reports as ONLINE, because this report may be wrong: if a robot is switched off while the broker is down,
+        the broker does not notice it."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:

@@ -14,7 +14,7 @@ MOST_CONNECTIONS = 8
 """How many connections may be open. If a new connection would exceed this number, the oldest connection is closed. This
 does no harm, because a scrape takes only milliseconds, so the oldest connection must be idle."""
 REQUEST_S = 5.0
-"""How long the server waits until it can read or send the next bytes, s."""
+"""The longest time that the server waits until it can read or send the next bytes, s."""
 
 
 class Handler(WSGIRequestHandler):

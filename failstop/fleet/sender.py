@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long to wait, in seconds, until all robots have seen that their wheels are still, after all have confirmed the
-stop."""
+"""How long the sender waits until all robots have seen that their wheels are still, s. This time begins when all robots
+have confirmed the stop."""
 WAIT_S = 5.0
 """How long to wait for robots that have not confirmed, s, if --wait is not given."""
 TURN_S = 0.05

@@ -188,8 +188,9 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
 
 
 def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetError:
-    """Return an error that names the setting, the file, and the remedy. `credential`: the systemd credential that can
-    pass the file to the unit, or "" if the file is not secret."""
+    """Return an error that names the setting and the file. If the permissions of the file are the problem, the error
+    also names the remedy. `credential`: the systemd credential that can pass the file to the unit, or "" if the file is
+    not secret."""
     text = f"{key} {path}: {error.strerror or error}"
     if not isinstance(error, PermissionError):
         return FleetError(text)

@@ -40,7 +40,8 @@ def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
 
 
 def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
-    """Check a signed message, and return its body. Raises Forged, also if it was signed for another purpose."""
+    """Check a signed message, and return its body. Raises Forged, also if the message was signed for another
+    purpose."""
     if len(message) > MOST_BYTES:
         raise Forged(f"{len(message)} bytes")
     try:
@@ -68,8 +69,8 @@ def _mac(key: bytes, purpose: str, text: str) -> str:
 
 
 def make_key(path: str) -> None:
-    """Write a new key to a new file that only its owner may read. Raises FleetError if the file exists already, or if
-    it can't be made."""
+    """Write a new key to a new file that only its owner may read. Raises FleetError if the file exists already or can't
+    be written."""
     try:
         os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)

@@ -105,8 +105,8 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Bar a robot from counting as confirmed if two publishers use its name, or if its failstop is too old to
-        notice a second publisher. Otherwise lift the bar."""
+        """Decide whether a robot can count as confirmed. It can't if two publishers use its name, or if its failstop is
+        too old to notice a second publisher."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # One publisher's connection has ended, but another publisher answers.
@@ -160,13 +160,14 @@ class Tally:
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """Return when the oldest connection between a robot and the broker began, by the robots' answers. The broker
-        has been running at least since then. None if no robot has answered since reconnected()."""
+        """Return when the oldest connection between a robot and the broker began, according to the robots' answers. The
+        broker has been running at least since then. None if no robot has answered since reconnected()."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Return the robots that were connected for less than STABLE_S when they answered. Such a connection may break
-        again at once, for example if another client of the same client name ends it again and again."""
+        """Return the robots whose connections to the broker are younger than STABLE_S at `after_s`, computed from the
+        robots' newest answers. Such a connection may break again at once, for example if another client of the same
+        client name ends it again and again."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:

@@ -22,7 +22,8 @@ NUMBER_BYTES = 8
 NUMBER = re.compile(rf"[0-9a-f]{{{2 * NUMBER_BYTES}}}")
 MOST = 64
 """How many numbers are remembered. There is a limit, so that nobody can fill the memory by inventing numbers. A small
-limit is enough, because a single other publisher already keeps this robot from being confirmed."""
+limit is enough, because one other publisher with this robot's name already means that no fleet stop counts this robot
+as confirmed."""
 
 
 def draw() -> str:
@@ -80,11 +81,14 @@ class Twins:
         self._connections = 0
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
-        """Other publishers that have used this robot's name, as known from the message that the broker had stored
-        before this publisher's first connection. They may have ended since. The value is a date, and only a message
-        with a later date suggests that the publisher still runs. For the publisher that made the stored message, it is
-        the date of that message, because the publisher's clock may be ahead. For all others, or if that message has no
-        date, it is infinity."""
+        """Other publishers of this robot's name, each with a date. The broker's stored message named them when this
+        publisher first connected, so they may have ended since. Only a message with a later date suggests that its
+        sender still runs.
+
+        For the publisher that made the stored message, the date is that message's date. The date is needed because that
+        publisher's clock may be ahead: its old message would then look newer than this publisher's start. If the stored
+        message has no date, or only lists the publisher, the date is infinity, so no message is later.
+        """
 
     def connected(self) -> None:
         """Note a new connection to the broker. Call this before hear(), because the broker's first message may be a

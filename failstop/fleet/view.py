@@ -18,8 +18,8 @@ LOST = "LOST"
 ENDED = "OFFLINE"
 OTHER = "other"
 ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
-"""The widest cells of the table, in columns: the robot's name, its word, and the reason. Anyone who may publish on the
-broker could send a long text, which must not push everything else off the screen."""
+"""How wide a robot's name, the word about its wheels, and the reason may be in the table, in columns of the screen.
+Anyone who may publish on the broker could send a long text, which must not push everything else off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
 """The age in seconds from which the state of a connected robot is shown as old. A robot publishes its state at least

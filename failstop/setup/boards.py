@@ -39,8 +39,8 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """Find out which board it is, as the second step of the setup. Returns the kind of the board, and its settings that
-    differ from the defaults (baud rate, CAN id). Raises Left."""
+    """Find out which kind of board is connected to the port `path`, as the second step of the setup. Returns the kind,
+    and the board's settings that differ from the defaults (baud rate, CAN id). Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:

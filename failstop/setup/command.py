@@ -53,7 +53,8 @@ QUESTIONS = {
 """The keys of the setup's questions, each with the help text of the command-line option that answers the question."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
-"""What to do after a stand test that did not pass, by its verdict. For every other verdict, ROWS_SAY is shown."""
+"""What to do after a stand test that did not pass, by the test's verdict. ROWS_SAY is shown for a verdict that is not
+in this table."""
 UNMOVED = "no wheel was turned"
 NOTHING = "no settings were written"
 
@@ -149,8 +150,8 @@ def layouts_of(kind: str) -> list[str]:
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """Ask which robot it is, or for its layout if setup does not know the robot. `kind`: the kind of its board. Returns
-    the robot's name, its known settings, and True if its sizes are among them."""
+    """Ask which robot this is. If setup does not know the robot, ask what kind of base it has. `kind`: the kind of the
+    robot's board. Returns the robot's name, its known settings, and True if its sizes are known."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER

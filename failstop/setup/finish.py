@@ -195,8 +195,8 @@ def _replace(answer: str) -> str:
 
 
 def _keep(path: str) -> str:
-    """Give a file a second name before it is replaced: FILE.old, or the first FILE.old.N that is free. Returns the
-    second name. Raises OSError."""
+    """Give a file a second name, so that its content is kept when the first name gets a new file. The second name is
+    FILE.old, or the first FILE.old.N that is free. Returns the second name. Raises OSError."""
     for number in itertools.count(1):
         kept = f"{path}.old" if number == 1 else f"{path}.old.{number}"
         with contextlib.suppress(FileExistsError):

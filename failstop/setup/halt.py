@@ -34,12 +34,14 @@ WRITES = 5
 """How many times a stop is written to a board that can't confirm it. A single stop may be lost on the line."""
 APART_S = 0.1
 STALE_S = 0.03
-"""How long after opening the port the answers to an earlier program's questions may still arrive, s."""
+"""How long to wait after the port was opened, s. Until then, answers may still arrive to questions that an earlier
+program has sent."""
 ANSWERS_S = 0.25
 """How long to wait for the board's answer to one question, s. After that time, the stop and a question are sent
 again."""
 CONFIRMS_S = 1.5
-"""How long to wait for the board's answer in total, s, including all repeats."""
+"""How long to wait for the board's answer in total, s, including all repeats. If opening the port makes a board deaf
+for a moment, this time begins after that moment."""
 RESTS_S = 5.0
 """How long to wait until turning wheels are at rest, s."""
 REST_S = 0.2

@@ -54,7 +54,8 @@ def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
     none.
 
     This is failstop's udev link, else a link in by-id, else a link in by-path. The udev link is not used if another
-    port has the same vendor and product. A link in by-id is not used if failstop can't tell such ports apart.
+    port has the same vendor and product. A link in by-id is not used if such a port also has the same serial number, or
+    if both have none.
     """
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)

@@ -40,8 +40,8 @@ STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
 """The distance from the robot's middle to each wheel, m. To turn only one of two wheels, the robot drives forward and
-turns at the same time, so that the two motions cancel at the other wheel. They cancel exactly at every moment of their
-ramps, because this distance is a power of two, so multiplying by it rounds nothing."""
+turns at the same time, so that the two motions cancel at the other wheel. The distance is a power of two, so that
+multiplying by it rounds nothing. So the motions cancel exactly, also while the speeds ramp up and down."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
@@ -56,8 +56,9 @@ def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -
     """Return settings and a velocity that turn only the wheel with the id `id_`. The motor turns in its own forward
     direction. The motor's wiring decides which way the wheel turns.
 
-    `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With four
-    speeds, the board must have ids for at least three wheels.
+    `speeds` is the number of wheel speeds in a frame of the board. `rim_mps` is the speed of the wheel's rim. With more
+    than two speeds, the settings are for a base with three wheels (omni3), so the board must be able to drive such a
+    base.
     """
     base: dict[str, object] = {
         "board.kind": kind,
@@ -114,11 +115,11 @@ class Rig:
         self._drove = False
         self.turned: dict[int, float] = {}
         """For each wheel id, the fastest speed that the board has reported, with its sign, in the board's unit. If the
-        board reports only positions, the direction of the change: 1, -1, or 0 for no change. Empty if the board
-        reported nothing."""
+        board reports only positions, the value is the direction in which the position has changed: 1, -1, or 0 for no
+        change. Empty if the board reported nothing."""
         self.moved: dict[int, float] = {}
         """How far the position of each wheel id has changed, in the board's counts, without a sign. Empty if the board
-        reports no positions."""
+        reports speeds, because positions are then ignored, or if the board reports nothing."""
 
     def __enter__(self) -> Rig:
         try:
@@ -208,7 +209,8 @@ class Rig:
             self._hear(entry[2], places)
 
     def _stand(self) -> None:
-        """Stop the wheels, and wait until the board reports that they are stopped. Raises Left."""
+        """Stop the wheels. Wait until the board has acknowledged the stop and reports that the wheels are stopped. If
+        the board can't do one of the two, don't wait for it. Raises Left."""
         assert self._robot
         epoch = self._robot.state.epoch
 

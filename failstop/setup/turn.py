@@ -1,5 +1,5 @@
-"""Turn: finds out how many of the board's units make one turn of a wheel. This needs a person, because the board can't
-know that number.
+"""Turn: finds out the scale, which says how many of the board's speed units make one wheel turn per second. Some boards
+know it. For all others, this needs a person.
 
 Many boards use the same scale for commanded and for reported speeds. Comparing these speeds shows nothing, because they
 agree even if the scale is wrong. So a person turns a wheel by hand, and the board's counts show the true scale. If that
@@ -35,8 +35,8 @@ REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
 """A wheel has turned if its position has changed by at least this many counts. A smaller change is play or noise."""
 OTHERS = 0.2
-"""While a person turns one wheel, each other wheel may move by this share of its counts. If another wheel has moved
-further, the person has turned two wheels."""
+"""While a person turns one wheel, each other wheel may move this share of that wheel's counts. If another wheel has
+moved further, the person has turned two wheels."""
 MOST_TURNS = 100.0
 
 
@@ -178,8 +178,9 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """Print and return the corrected value of board.per_rps. `told`: the turns by the present value. `turns`: the turns
-    that the person has counted. `counts`: the board's counts, or 0."""
+    """Print and return the corrected value of board.per_rps. `told`: how many turns the wheel has made if the present
+    value is right. `turns`: the turns that the person has counted. `counts`: the board's counts, or 0 if there are
+    none."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

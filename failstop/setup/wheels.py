@@ -81,7 +81,8 @@ class Trial:
         self._explained = False
         """True once the person has been told how to answer the questions about the wheels."""
         self._ratios: list[float] = []
-        """The measured speed divided by the commanded speed, for each wheel that has turned."""
+        """The measured speed divided by the commanded speed, for each wheel that has turned. Empty if the board reports
+        no speeds, or if its reports depend on board.per_rps."""
         self._set_speeds()
 
     def _set_speeds(self) -> None:

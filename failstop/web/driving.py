@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
-"""The source for the page's commands, if the settings declare it. Otherwise the page commands as cmd_vel."""
+"""The source of the page's commands, if the settings declare this source. If they don't, the page's commands have the
+source cmd_vel."""
 OTHER_S = 0.5
 """How long after the driver's last command another person must wait before driving, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
@@ -60,16 +61,17 @@ class Driving:
         self._chosen: set[str] = set()
         """The ids of devices whose operators have chosen a speed limit since they began to attend."""
         self._spent: set[Viewer] = set()
-        """Viewers whose stick moves nothing until they let go of it. While they held it, motion was disabled, or one of
-        the values in _taken changed. Enabling motion again does not help."""
+        """Viewers whose stick moves nothing until they let go of it. While such a viewer held the stick, motion was
+        disabled or enabled, or the robot was stopped (see `_taken`). Even if motion is enabled now, the viewer must
+        first let go of the stick."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """For each viewer who holds the stick: the robot's epoch, and the time at which motion was last enabled (ns),
-        both from the moment when the viewer took hold. If either changes, the viewer must let go of the stick before
-        driving again."""
+        """For each viewer who holds the stick: the robot's epoch, and the time at which motion was last enabled (ns).
+        Both were read when the viewer took hold of the stick. If either changes, the viewer must let go of the stick
+        before driving again."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """Return True if the operator of this device has chosen a speed limit. Also True if driving is off, or if the
-        device is not paired."""
+        """Return False if the operator of this device must choose a speed limit before driving. True if one was chosen,
+        or if this device can't drive: driving is off, or the device is not paired."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:

@@ -163,8 +163,8 @@ class Me(Guarded):
     """Tells the page what this device may do."""
 
     def get(self) -> None:
-        """Answer with the name of this device (null if it is not paired), whether the device may drive, why nobody can
-        drive, and whether pairing is on."""
+        """Answer with the name of this device (null if it is not paired), whether the device may drive, the reason if
+        driving is on but nobody can drive, and whether pairing is on."""
         device = self.device()
         drives = device is not None and self.page.driving.on
         self.finish(

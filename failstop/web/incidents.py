@@ -137,8 +137,8 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the story's lines that are at most NEAR_MS from the cause, in their order, at most the LINES closest
-    ones."""
+    """Return the story's lines that are at most NEAR_MS from the cause, in their order. If there are more than LINES,
+    only those closest to the cause are returned."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

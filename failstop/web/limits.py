@@ -7,8 +7,8 @@ MOST_KEYS = 1024
 
 
 class Limit:
-    """Limits the requests of each key, for example of each network address. Each key has a token bucket: `burst`
-    requests at once, and then `per_s` requests per second."""
+    """Limits the requests of each key, for example of each network address. A key may make `burst` requests at once.
+    After that, it may make `per_s` requests per second (a token bucket)."""
 
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s

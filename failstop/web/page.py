@@ -105,7 +105,8 @@ class Page:
         return self.watcher.state.epoch if self.watcher.state else 0
 
     def limit(self) -> int:
-        """Return the present speed limit, in percent of the settings' speeds. 0 if no service is running."""
+        """Return the present speed limit, in percent of the highest speeds in the settings. 0 if no service is
+        running."""
         self.look()
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 
@@ -126,8 +127,9 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """Unpair the device with this id. Returns its name, or "" if the id is unknown. Raises FailstopError if the new
-        list of devices can't be saved. The device is then paired again after a restart of the page."""
+        """Unpair the device with this id. Returns the device's name, or "" if the id is unknown. Raises FailstopError
+        if the new list of devices can't be saved. In that case, the device is unpaired only until the page is
+        restarted."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:

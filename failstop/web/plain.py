@@ -21,7 +21,8 @@ MOST = 16 * 1024
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
     """Return the answer to a plain HTTP request on the HTTPS port, with a sentence for the person. A request to one of
-    this robot's hosts is also redirected to HTTPS. `request`: its first bytes may be missing."""
+    this robot's hosts is also redirected to HTTPS. `request`: the request, perhaps without its first bytes, because the
+    TLS library has read them already."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -37,8 +38,8 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Prepare a TLS connection to answer a browser that speaks plain HTTP, before the connection is closed. `known`:
-    the robot's host names."""
+    """Make a TLS connection answer a browser that speaks plain HTTP. The answer is sent just before the connection is
+    closed. `known`: the robot's host names."""
     close_fd = stream.close_fd
 
     def answered() -> None:

@@ -53,7 +53,7 @@ class StopSocket(Socket):
     nothing."""
 
     def open(self, *_: str, **__: str) -> None:
-        """Prepare everything that a STOP needs, before it comes."""
+        """Add this connection to the page. Open the stop pipe, so that a later STOP need not wait for this."""
         super().open()
         self.page.stops.add(self, str(self.request.remote_ip))
         self.page.stop_pipe.prepare()
@@ -118,8 +118,8 @@ class Live(Socket):
         self.page.leave(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Handle a message of the page: it begins or ends attending, answers a nonce, lets go of the stick, or holds a
-        button. Other messages are ignored."""
+        """Handle a message of the page. A message says that the operator begins or ends attending, holds a button, or
+        lets go of the stick. Or it answers a nonce. Other messages are ignored."""
         found = messages.read(message)
         if found.get("attend") is True:
             self._attend()
@@ -135,8 +135,8 @@ class Live(Socket):
             self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
-        """Handle the device's answer to a nonce, which proves that the device was present. The answer may contain a
-        driving command. Without a command, nobody holds the stick."""
+        """Handle the device's answer to a nonce. A right answer proves that the device was present. The answer may
+        contain a driving command. If it contains none, the viewer counts as having let go of the stick."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since

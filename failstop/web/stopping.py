@@ -102,9 +102,9 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait until a stop is written that was requested at `asked_ns` (CLOCK_MONOTONIC, ns). The port owner's report
-    counts, and also the supervisor's, which writes the stop if no port owner can. Returns False if no stop was written
-    within WRITTEN_S, or if no service is running."""
+    """Wait until a stop is written at `asked_ns` or later (CLOCK_MONOTONIC, ns). Usually the port owner writes and
+    reports it. If no port owner can, the supervisor does. Returns False if no stop was written within WRITTEN_S, or if
+    no service is running."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

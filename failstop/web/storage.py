@@ -62,8 +62,8 @@ class Storage:
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:
-        """Return the paired devices. Raises FailstopError if their file can't be read. An empty list would unpair all
-        devices without a message."""
+        """Return the paired devices. Raises FailstopError if their file can't be read, because an empty list instead
+        would unpair all devices without a message."""
         try:
             with open(durable.open_own(self.path(DEVICES)), "rb") as file:
                 return Devices.load(file.read())
@@ -109,8 +109,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """Return the TLS context for HTTPS. The page makes its own certificate at the first start, and again before it
-        expires. Raises FailstopError."""
+        """Return the TLS context for HTTPS. The page makes its own certificate at its first start. At a later start, it
+        makes a new one if the old one expires within RENEW_S. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -119,8 +119,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """Return the last stop, with its three proofs in words, or None if there was no stop. A missing proof is "", and
-    `lacks` has the reason, if it is known."""
+    """Return the last stop, with its three proofs in words, or None if there was no stop. A missing proof is "". For a
+    missing proof, `lacks` has the reason, or "" if the reason is not known."""
     if stop is None:
         return None
     return {
@@ -138,8 +138,8 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def unlatched_of(event: Event | None) -> dict[str, Any] | None:
-    """Return what stopped the wheels after the last latched stop, and why no times are known for it. None if nothing
-    did."""
+    """Return what stopped the wheels after the last latched stop, when this was, and why failstop has not timed this
+    stop. `event`: the event that reports this stop. Returns None if there is no such event."""
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
 
 
