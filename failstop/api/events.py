@@ -76,8 +76,8 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Yield every event as it happens. With `past`, begin with the earlier events that the service still has.
-        Raises NoService when this run of the service ends."""
+        """Yield every event as it happens. If this EventLog was made with `past`, begin with the earlier events that
+        the service still has. Raises NoService when this run of the service ends."""
         while True:
             found = self.read()
             yield from found

@@ -78,8 +78,8 @@ SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has b
 """The texts that are used for a block if it is known when the block began. The word "since" and the time follow the
 text."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""The blocks in which the wheels wait for a client, such as a driving program. The lines that clients report with say()
-may explain these blocks."""
+"""The reasons for a block that last until a client, such as a driving program, sends something. The lines that clients
+report with say() may explain them."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:

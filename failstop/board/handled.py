@@ -79,7 +79,7 @@ class Echo:
         self._moved_ns = 0
         """If the newest echo is motion, the time when failstop wrote this motion, in ns. Otherwise 0."""
         self.faded_ns = 0
-        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
+        """The time, in ns, when failstop wrote the last motion, if the board's own watchdog has ended this motion.
         Otherwise 0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
@@ -146,7 +146,7 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """If the board's own watchdog has ended the last motion, the time in ns when failstop wrote this motion.
+        """The time, in ns, when failstop wrote the last motion, if the board's own watchdog has ended this motion.
         Otherwise 0."""
         return self._echo.faded_ns
 

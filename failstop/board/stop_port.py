@@ -28,8 +28,8 @@ holds bytes after this time, it is not sending."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""If early_stop() has written a whole stop, burst() writes nothing for this long, in ns. Otherwise the loop of the same
-process, which early_stop()'s thread wakes, would write the same stop again at once."""
+"""If early_stop() has written a whole stop, burst() writes nothing for this long, in ns. The thread of early_stop()
+wakes the loop of its process, which would otherwise write the same stop again at once."""
 
 
 class StopPort:

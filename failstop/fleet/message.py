@@ -67,7 +67,8 @@ class Header:
 
 
 def date(found: object) -> float | None:
-    """Return the value of a message's field `t`, as Unix time, s. None if it is not a date."""
+    """Return the date in a message's field `t`, as Unix time in seconds. `found` is the field's value. None if that is
+    not a date."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not 0.0 <= found <= LATEST_S:
         return None
     return float(found)

@@ -40,7 +40,8 @@ PORT = "port"
 LOOK_S = 0.5
 NICE = -10
 """The guard's nice value. With this value, the guard runs before ordinary programs, but after the service's real-time
-processes, so a driver that writes without end can't take processor time from the service."""
+processes. The guard handles all that the driver writes, so otherwise a driver that writes without end could take
+processor time from the service through the guard."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -112,9 +113,9 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 def _usual(settings: Settings, name: str) -> str:
     """The path of the port if --path is not given. This is the setting guard.path if it is set. Otherwise the port is
-    in the first of these folders: systemd's runtime folder for this unit, the service's runtime folder, the user's
-    runtime folder. The last two count only if this user may write there. Raises FailstopError if there is no such
-    folder."""
+    in the first of these folders that exists: the runtime folder that systemd has made for the guard's unit; the
+    service's runtime folder, if this user may write there; the user's runtime folder, if this user may write there.
+    Raises FailstopError if none of them exists."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):

@@ -109,8 +109,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """Return the TLS context for HTTPS. The page makes its own certificate at its first start. At a later start, it
-        makes a new one if the old one expires within RENEW_S. Raises FailstopError."""
+        """Return the TLS context for HTTPS. At the first call, this makes a certificate. At a later call, it makes
+        a new one if the old one expires within RENEW_S. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

@@ -83,16 +83,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """Return the note that a driver's death has disabled motion. Never leave it out, because motion stays disabled
-    until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
+    """Return the note that a driver's death has disabled motion. It must always be logged, because motion stays
+    disabled until somebody enables it. `moved`: True if the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """Return the note that a driver's silence has disabled motion. Never leave it out, because motion stays disabled
-    until somebody enables it."""
+    """Return the note that a driver's silence has disabled motion. It must always be logged, because motion stays
+    disabled until somebody enables it."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}

@@ -144,8 +144,8 @@ class Sources:
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
-        """Choose the command that drives from now on. Returns (command or None, True if a source with a lower priority
-        gets the wheels back)."""
+        """Choose the command that drives from now on. Returns (command or None, True if it is from a source with a
+        lower priority than the source that drove before)."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]

@@ -301,8 +301,9 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """Wake the port owner if the port is lost. The port owner does not read the port while telemetry runs. After a
-        new descriptor was adopted, forget what was read from the old one, even half a frame."""
+        """Wake the port owner if the port is lost. It would not notice the loss, because it does not read the port
+        while telemetry runs. After a new descriptor was adopted, forget what was read from the old one, even half
+        a frame."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):

@@ -36,8 +36,8 @@ FORGET_S = 10.0
 """When a Sum covers more than this many seconds, its values are halved. So newer motion counts more, and the comparison
 follows the robot if, for example, its load changes."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
-"""Commands below these (turns per second, rad/s) are not compared. They are rounded coarsely, and may be too small to
-start a motor."""
+"""Commands below these (turns per second, rad/s) are not compared with the measured motion. They are rounded coarsely,
+and may be too small to start a motor."""
 UNTURNED = 0.05
 """A wheel that turns at less than this share of its commanded speed is left out. It is probably unplugged or held, so
 it says nothing about the scale."""
@@ -122,9 +122,9 @@ class ScaleJudge:
         self._turn = Ratio(LEAST_RADPS)
         self._last_ns = 0
         self.wrong: tuple[str, ...] = ()
-        """What differs, in words, with the setting to check."""
+        """Texts about what differs. Each names the setting to check."""
         self.remarks: tuple[str, ...] = ()
-        """Smaller differences, in words. A healthy robot may have them."""
+        """Texts about smaller differences between measured and commanded speeds. A healthy robot may have them."""
 
     @property
     def wheels(self) -> float:

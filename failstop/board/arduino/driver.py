@@ -45,8 +45,9 @@ PATIENCE_NS = 1_000_000_000
 """How long a driver waits for an answer, in ns. This is the default timeout of diffdrive_arduino, and hbrobotics' node
 waits longer."""
 _LOST_NS = 100_000_000
-"""How long a question for the counts, caused by a driver's `e`, may stay unanswered, in ns. Until then, another `e`
-causes no new question. After that, the question counts as lost."""
+"""How long, in ns, the board may take to answer a question for the encoders' counts. failstop asks it when the driving
+program sends `e`. Until the answer or the end of this time, another `e` causes no new question.
+After that, the question counts as lost."""
 _STEADY_NS = 200_000_000
 """An `e` is answered with the counts that the board reported after the driver's previous `e`. If these counts are older
 than this many ns, the `e` is answered with the newest counts instead."""

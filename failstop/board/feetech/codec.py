@@ -65,8 +65,8 @@ def packet(servo: int, instruction: int, data: bytes) -> bytes:
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
     """Return the packet that writes to this address of several servos. `rows`: each servo's id, followed by its bytes.
-    No servo answers such a packet. Never write a speed to every servo on the bus, because for a servo in position mode
-    speed 0 means its fastest speed."""
+    No servo answers such a packet. To stop the wheels, write speed 0 only to the wheels' servos: a servo in position
+    mode takes speed 0 as its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 

@@ -287,8 +287,8 @@ class Replies(Reader):
         return found
 
     def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:
-        """Add the answer of controller `one` (LOCAL or BEHIND). Returns the samples for the question if every
-        controller has now answered it, otherwise an empty list."""
+        """Add the answer of controller `one` (LOCAL or BEHIND) to the question with this `mask`. Returns the samples if
+        every controller has now answered that question, otherwise an empty list."""
         if not self._other:
             return self._answered(mask, values)
         first, self._first = self._first, None

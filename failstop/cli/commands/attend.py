@@ -31,7 +31,7 @@ PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
 """Programs that may run between this process and the operator's terminal. They answer in place of the terminal, even
 after the operator has closed it, so an absent operator would count as present. Each key is a process name, and its
-value is the program's name for people."""
+value is the name that people know the program by."""
 PLACES = 60
 """How many columns of the terminal are used. Every 0.1 s, the cursor moves to the next of these columns, and the
 terminal is asked where the cursor is. So each column is used again after 6 s."""

@@ -104,7 +104,8 @@ def main(arguments: Namespace) -> int:
     Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases:
 
     - The stop may have gone to the wrong port.
-    - A board that can answer is silent. With --end-service, this is only printed.
+    - The board has not answered, although this kind of board answers. (With --end-service, this is printed, but does
+      not make the result 1.)
     - A service has written the stop, but the wheels may still turn.
     - With --services, a service has not confirmed its stop.
     - --end-service was used outside of the service's systemd unit.

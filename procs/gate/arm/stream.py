@@ -104,7 +104,7 @@ class Stream:
             joint.stepped_ns = 0
 
     def end(self) -> None:
-        """Send no further moves. The joints' positions must then be read again."""
+        """Send no further moves. This forgets the joints' positions, so they are read again before the next move."""
         for joint in self.joints:
             joint.forget()
         self._schedule = []
