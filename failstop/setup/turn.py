@@ -40,11 +40,14 @@ moved further, the person has turned two wheels."""
 MOST_TURNS = 100.0
 
 
-def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
+def asked(
+    talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int, *, single: bool = True
+) -> dict[str, object]:
     """Ask a person for the scale. Returns the setting board.per_rps and, if a wheel was turned to find it, the setting
     that confirms it. Returns no settings if the board knows its scale, or if the person does not know it.
 
-    `speeds` is the number of wheel speeds in a frame of the board. Raises Left.
+    `speeds` is the number of wheel speeds in a frame of the board. `single`: True if setup can turn a single wheel of
+    this board. Raises Left.
     """
     settings = Settings(dict(values))
     board = board_of(*settings.board())
@@ -60,6 +63,8 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
         if talk.silent:
             raise Left(f"there is no terminal to ask you at: give --per-rps, a number or {UNKNOWN}")
         found = by_hand(talk, device, board) if board.reports.position_per_turn else None
+        if not (found or single):
+            raise Left(f"setup can't turn a single wheel of your board: give --per-rps, a number or {UNKNOWN}")
         answer = before = found or driven(talk, device, settings, halt, speeds, board)
         talk.draft.keep(KEY, answer)
     if answer == UNKNOWN:

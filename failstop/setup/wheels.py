@@ -100,10 +100,10 @@ class Trial:
         talk = self._talk
         talk.step(3, "The wheels")
         stand(talk)
-        found = turn.asked(talk, self._device, self._values, self._halt, self._speeds)
+        by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
+        found = turn.asked(talk, self._device, self._values, self._halt, self._speeds, single=not by_hand)
         self._values |= found
         self._set_speeds()
-        by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
         if by_hand:
             talk.warn("On your own board with four wheels, setup can't turn a single wheel.", "set [wheels] by hand")
         while True:

@@ -105,6 +105,15 @@ def test_without_a_person_the_scale_has_to_be_given(place: Path) -> None:
         asked(place, dict(VALUES))
 
 
+def test_a_board_of_which_no_single_wheel_can_be_turned_needs_the_number(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(turn, "by_hand", lambda *_: None)
+    person = Talk({}, Draft("failstop", {"STATE_DIRECTORY": str(place)}), silent=False)
+    with pytest.raises(Left, match="can't turn a single wheel of your board: give --per-rps, a number or unknown"):
+        turn.asked(person, "/nowhere", dict(VALUES), None, 4, single=False)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     "values",
     [
