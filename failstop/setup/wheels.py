@@ -20,6 +20,8 @@ SECONDS = 1.0
 RPS = 0.5
 """How fast a wheel turns at first, turns per second, if no limit is lower. This is slow, but fast enough to be seen."""
 FASTEST_RPS = 2.0
+RESTS = 0.2
+"""A wheel whose reported speed is below this share of the fastest wheel's speed is at rest, and its speed is noise."""
 AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
 WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
 STAND = (
@@ -81,8 +83,8 @@ class Trial:
         self._explained = False
         """True once the person has been told how to answer the questions about the wheels."""
         self._ratios: list[float] = []
-        """The measured speed divided by the commanded speed, for each wheel that has turned. Empty if the board reports
-        no speeds, or if its reports depend on board.per_rps."""
+        """The measured speed divided by the commanded speed, for each wheel that somebody has seen turning. Empty if
+        the board reports no speeds, or if its reports depend on board.per_rps."""
         self._set_speeds()
 
     def _set_speeds(self) -> None:
@@ -130,6 +132,7 @@ class Trial:
     def _ids(self) -> dict[str, object]:
         answers: dict[int, str] = {}
         self._explained = False
+        self._ratios.clear()  # the scale may have been corrected since
         left = list(range(self._speeds))
         while left:
             id_ = left.pop(0)
@@ -160,6 +163,12 @@ class Trial:
         scale is wrong."""
         if not self._ratios:
             return {}
+        if min(self._ratios) < RESTS * max(self._ratios):
+            self._talk.warn(
+                "The board reports very different speeds for wheels that turned equally fast.",
+                "setup does not correct the scale by these reports; check the plugs of the motors' encoders",
+            )
+            return {}
         ratio, board = median(self._ratios), self._board
         if not (wrong := scale.wheels_differ(ratio, board.per_rps, holds_speed=board.reports.holds_speed)):
             return {}
@@ -184,36 +193,40 @@ class Trial:
 
     def _asked(self, id_: int, spare: bool) -> str:
         """Turn the motor with this id, and ask which wheel has turned. Repeat this after "again" or "faster"."""
-        talk, key = self._talk, f"wheel_{id_}"
+        talk, key, ratio = self._talk, f"wheel_{id_}", 0.0
         while True:
             if not talk.known(key):
                 self._legend()
-                self._turn(id_)
+                ratio = self._turn(id_)
             none = f"; {NONE}" if spare else ""
             question = f"Id {id_}: which wheel turned, and which way? ({', '.join(self._words)} with + or -{none})"
             answer = talk.ask(key, question, "", lambda said: parsed(said, self._words, spare))
             if answer not in (AGAIN_WORD, FASTER):
+                if ratio and answer != NONE:  # if nobody has seen a wheel turn, the board has measured noise
+                    self._ratios.append(ratio)
                 return answer
             talk.draft.forget(key)
             if answer == FASTER:
                 self._rps = min(self._fastest, 2 * self._rps)
 
-    def _turn(self, id_: int) -> None:
+    def _turn(self, id_: int) -> float:
+        """Turn the motor with this id. Returns the measured speed of its wheel divided by the commanded speed, or 0.0
+        if the board does not measure it by a scale of its own."""
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
         values |= {key: value for key, value in self._values.items() if key in (*SCALE, "board.baud", "board.can_id")}
         self._talk.say(f"Id {id_} turns its wheel alone for {SECONDS:g} s ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)
-        if not rig.turned:
-            return
-        moved = {other: speed for other, speed in rig.turned.items() if speed}
-        if not moved:
+        # Only this wheel was driven, so the others are at rest, although a board may report some noise for them.
+        fastest = max(map(abs, rig.turned.values()), default=0.0)
+        if rig.turned and not fastest:
             self._talk.warn("The board reports that no wheel turned.", f"{SUPPLY} Or type {FASTER}.")
-        for other, speed in moved.items():
-            self._talk.say(f"The board reports that id {other} turned {'forward' if speed > 0 else 'backward'}.")
-        if self._board.reports.own_scale and (per_rps := self._board.reports.speed_per_rps):
-            self._ratios += [abs(speed) / per_rps / self._rps for speed in moved.values()]
+        for other, speed in rig.turned.items():
+            if abs(speed) > RESTS * fastest:
+                self._talk.say(f"The board reports that id {other} turned {'forward' if speed > 0 else 'backward'}.")
+        reports = self._board.reports
+        return fastest / reports.speed_per_rps / self._rps if reports.own_scale and reports.speed_per_rps else 0.0
 
     def _together(self, values: Mapping[str, object]) -> str:
         """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first

@@ -3,7 +3,7 @@ by turns counted, or left unknown. The simulated board knows its own encoder, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -12,8 +12,9 @@ from failstop import config
 from failstop.board.arduino.codec import COUNTS, PERIODS
 from failstop.board.kinds import board_of
 from failstop.policy.settings import Settings
-from failstop.setup import sizes, turn
+from failstop.setup import sizes, turn, wheels
 from failstop.setup.draft import Draft
+from failstop.setup.halt import Halt
 from failstop.setup.talk import Left, NotAnAnswer, Talk
 from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, words
@@ -199,3 +200,108 @@ def test_brackets_are_explained_once_before_the_first_question_that_has_them(
     assert said.count(BRACKETS) == bool(comes_before)
     if comes_before:
         assert said.partition(BRACKETS)[2].strip().startswith(comes_before)
+
+
+NOISE = 0.02
+"""What a resting wheel reports, as a share of the commanded speed of the wheel that turns."""
+
+
+def wheels_found(
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    tries: Sequence[tuple[str, float]],
+    forward: Sequence[str] = ("yes",),
+) -> dict[str, object]:
+    """The settings of the third step, for a robot with two wheels. `tries`: for each turn of a wheel alone, what the
+    person answers, and the wheel's speed over the commanded one, as the board measures it. The other wheel rests.
+    `forward`: the person's answers about all wheels together."""
+    board = board_of(*Settings({"board.kind": kind, "wheels.layout": "differential"}).board())
+    left, answers = list(tries), list(forward)
+
+    class Spun:
+        """A rig that turns no wheel."""
+
+        def __init__(self, _device: str, values: dict[str, object], _halt: Halt) -> None:
+            self._alone = "limits.vy_mps" not in values
+            self.turned: dict[int, float] = {}
+
+        def __enter__(self) -> Spun:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def drive(self, velocity: tuple[float, float, float], _seconds: float) -> None:
+            if self._alone:
+                driven, commanded = int(velocity[2] > 0), wheels.RPS * board.reports.speed_per_rps
+                self.turned = {driven: left[0][1] * commanded, 1 - driven: -NOISE * commanded}
+
+    def answer(prompt: str) -> str:
+        return left.pop(0)[0] if "+ or -" in prompt else answers.pop(0)
+
+    monkeypatch.setattr(wheels, "Rig", Spun)
+    monkeypatch.setattr("failstop.setup.talk.read_line", answer)
+    conversation = Talk({"stand": "yes", "turn": "yes"}, Draft("x", {"STATE_DIRECTORY": str(place)}), silent=False)
+    values = {"board.kind": kind, "wheels.layout": "differential"}
+    found = wheels.Trial(conversation, "/nowhere", values, Halt("/nowhere", board, print)).step()
+    assert not left
+    assert not answers
+    return found
+
+
+def scale_of(found: dict[str, object], kind: str) -> float:
+    """The scale over the usual one; 1: it is not set."""
+    usual = board_of(*Settings({"board.kind": kind, "wheels.layout": "differential"}).board()).per_rps
+    assert found.get("board.per_rps") == found.get("board.per_rps_confirmed")
+    return float(str(found.get("board.per_rps", usual))) / usual
+
+
+OWN_SCALE = ["ugv", "hoverboard", "damiao"]
+BOTH = [("left+", 0.95), ("right+", 0.95)]
+
+
+@pytest.mark.parametrize("kind", OWN_SCALE)
+def test_the_noise_of_wheels_at_rest_is_not_taken_for_the_scale(
+    kind: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert scale_of(wheels_found(place, monkeypatch, kind, BOTH), kind) == 1
+    said = capsys.readouterr().out
+    assert [line.split(" that ")[1] for line in said.splitlines() if "The board reports" in line] == [
+        "id 0 turned forward.",
+        "id 1 turned forward.",
+    ], "a wheel at rest has not turned"
+
+
+@pytest.mark.parametrize("kind", OWN_SCALE)
+def test_wheels_that_turn_at_another_speed_than_commanded_correct_the_scale(
+    kind: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = wheels_found(place, monkeypatch, kind, [("left+", 2.5), ("right+", 2.5)])
+    assert scale_of(found, kind) == pytest.approx(1 / 2.5, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", OWN_SCALE)
+def test_a_turn_in_which_nobody_saw_a_wheel_turn_measures_nothing(
+    kind: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries = [("again", 0.0), ("again", 0.0), ("left+", 0.95), ("again", 0.0), ("right+", 0.95)]
+    assert scale_of(wheels_found(place, monkeypatch, kind, tries), kind) == 1
+
+
+@pytest.mark.parametrize("kind", OWN_SCALE)
+def test_a_wheel_that_the_board_does_not_measure_is_not_taken_for_the_scale(
+    kind: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert scale_of(wheels_found(place, monkeypatch, kind, [("left+", 1.0), ("right+", 0.0)]), kind) == 1
+    assert "check the plugs of the motors' encoders" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("kind", OWN_SCALE)
+def test_wheels_that_are_asked_again_correct_a_scale_once(
+    kind: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the first correction they turn as they are commanded."""
+    tries = [("left+", 2.5), ("right+", 2.5), *BOTH]
+    found = wheels_found(place, monkeypatch, kind, tries, forward=["no", "yes"])
+    assert scale_of(found, kind) == pytest.approx(1 / 2.5, rel=0.01)
