@@ -129,6 +129,7 @@ def test_the_template_differs_in_the_name_alone() -> None:
         ("failstop@.service is this file for several robots", "failstop.service is this file for one robot"),
         ("Description=failstop: stops the robot", "Description=failstop: stops robot %i"),
         ("bin/failstop run --config", "bin/failstop run --name %i --config"),
+        ("bin/failstop stop --config", "bin/failstop stop --name %i --config"),
         ("/etc/failstop/failstop.toml", "/etc/failstop/%i.toml"),
         ("failstop-late.service", "failstop-late@%i.service"),
         ("StateDirectory=failstop/failstop\n", "StateDirectory=failstop/%i\n"),
@@ -197,9 +198,10 @@ def test_a_stop_that_was_not_written_is_somebody_elses_until_the_service_runs_ag
 def test_commands_are_run_without_a_shell_and_stop_before_systemd_loses_patience(name: str) -> None:
     found = settings(name)
     [start], [post] = ([value for key, value in found if key == wanted] for wanted in ("ExecStart", "ExecStopPost"))
-    config = start[start.index("--config") :]
-    assert start.startswith("/opt/failstop/bin/failstop run ")
-    assert post == f"/opt/failstop/bin/failstop stop {config} --end-service"
+    run = "/opt/failstop/bin/failstop run "
+    assert start.startswith(run)
+    same = start.removeprefix(run)
+    assert post == f"/opt/failstop/bin/failstop stop {same} --end-service", "of the same robot"
 
 
 def test_timeouts_leave_room_for_the_stop_tool() -> None:
