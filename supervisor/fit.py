@@ -24,14 +24,21 @@ def checked_board(settings: Settings, path: str | None) -> Board:
         layout = settings.text("wheels.layout")
         text = f"board.kind {kind} takes {board.wheels} speeds, and wheels.layout {layout} has {settings.speeds} wheels"
         raise SettingError(f"{path or 'settings'}: {text}")
+    if wrong := wrong_limits(settings, board):
+        raise SettingError(f"{path or 'settings'}: {wrong}")
+    return board
+
+
+def wrong_limits(settings: Settings, board: Board) -> str:
+    """Why the board can't turn the wheels as the speed limits in the settings ask, and what helps. Empty if it can."""
     if (fastest := max_wheel_rps(settings)) > board.most_rps:
         text = f"the board takes {board.most_rps:.3g} turns of a wheel a second, and the limits are {fastest:.3g}"
-        raise SettingError(f"{path or 'settings'}: {text}: lower [limits], or see board.per_rps")
+        return f"{text}: lower [limits], or see board.per_rps"
     turn_m = pi * settings["wheels.diameter_m"]
     if fastest * turn_m < (slowest := slowest_mps(settings)):
         text = f"the board's smallest speed of a wheel is {slowest:.2g} m/s, and the limits are {fastest * turn_m:.2g}"
-        raise SettingError(f"{path or 'settings'}: {text}: raise [limits], or see board.per_rps")
-    return board
+        return f"{text}: raise [limits], or see board.per_rps"
+    return ""
 
 
 def usual_baud(kind: str) -> int:

@@ -14,6 +14,7 @@ from failstop.files import root
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy import scale, servos
+from failstop.supervisor.fit import checked_board
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
@@ -32,8 +33,8 @@ REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesk
 
 def settings(look: Look) -> list[Finding]:
     """Check the settings file, and whether the running service uses other settings than those in it."""
-    path, _, problem = look.settings
-    if problem:
+    path, _, _ = look.settings
+    if problem := _refused(look):
         text = f"{problem}; the service won't start until this is fixed"
         return fail(text, f"failstop config --check {shlex.quote(path)}", "check the file again after you fix it")
     if look.state and (others := _others(look)):
@@ -45,6 +46,17 @@ def settings(look: Look) -> list[Finding]:
         text = f"{look.name!r} runs with other settings than those in {path}: {named}"
         return warn(text, "", "restart the service to use the file's; that stops the wheels")
     return ok(path or "no file: every setting has its default")
+
+
+def _refused(look: Look) -> str:
+    """Why the service does not start with the settings in the file. Empty if it does."""
+    path, found, problem = look.settings
+    if not problem:
+        try:
+            checked_board(found, path)
+        except ValueError as error:
+            return str(error)
+    return problem
 
 
 def _others(look: Look) -> list[str]:

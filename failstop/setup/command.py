@@ -21,6 +21,7 @@ from failstop.setup.ending import interruptible
 from failstop.setup.halt import Halt
 from failstop.setup.talk import NO, YES, Left, Talk, one_of, option, word_of, yes_or_no
 from failstop.setup.wheels import Trial
+from failstop.supervisor.fit import checked_board
 
 EXAMPLES = """\
 failstop setup                         # takes about ten minutes
@@ -112,7 +113,7 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     wheels = Trial(talk, device, values, halt).step()
     chosen = sizes.step(talk, {**values, **wheels}, known=known)
     settings = {"device.path": ports.stable(device), **values, **wheels, **chosen}
-    Settings(dict(settings))
+    checked_board(Settings(dict(settings)), None)  # as the service does when it starts
     finish.watchdog(talk, kind)
     evidence = finish.proof(talk, settings, device, name, halt)
     while evidence and not evidence["passed"]:

@@ -4,13 +4,16 @@ stops."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import floor
 
 from failstop.api import distance
+from failstop.board.kinds import board_of
 from failstop.cli import style
-from failstop.policy.kinematics import AXES
+from failstop.policy.kinematics import AXES, max_wheel_rps
 from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings, declaration
-from failstop.setup.talk import Talk, number, option
+from failstop.setup.talk import Left, Talk, number, option
+from failstop.supervisor.fit import wrong_limits
 
 OF_LAYOUT = {
     "mecanum": ("wheels.diameter_m", "wheels.wheelbase_m", "wheels.track_m"),
@@ -28,7 +31,8 @@ def answer_key(key: str) -> str:
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
     """Ask for the sizes and limits, as the fourth step of the setup. With `known`, the sizes in `values` are offered as
-    answers. The limits are always offered. Raises Left."""
+    answers. The limits are always offered, and asked again if the board can't turn the wheels so fast or so slowly.
+    Raises Left."""
     talk.step(4, "Sizes and limits")
     if not known:
         talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
@@ -37,15 +41,38 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
     layout = settings.text("wheels.layout")
     limits = [key for key in LIMITS if AXES[layout][1] or key != "limits.vy_mps"]
     explained = False
-    for key in (*OF_LAYOUT[layout], *limits):
-        offered = f"{settings[key]:g}" if known or key in limits else ""
+    left = [*OF_LAYOUT[layout], *limits]
+    possible: dict[str, float] = {}
+    while left:
+        key = left.pop(0)
+        if key in limits and not possible:
+            possible = _possible(Settings({**values, **chosen}), limits)
+        offered = f"{possible.get(key, settings[key]):g}" if known or key in limits else ""
         if offered and not explained and not talk.known(answer_key(key)):
             talk.say("Press Enter to accept the value in brackets.", style.DIM)
             explained = True
         chosen[key] = _number(talk, key, offered)
+        if not left and (wrong := _wrong(Settings({**values, **chosen}))):
+            talk.draft.forget(*map(answer_key, limits))
+            if talk.silent:
+                raise Left(wrong)
+            talk.warn(f"{wrong[0].upper()}{wrong[1:]}.", "type the limits again")
+            left = list(limits)
     for way in distance.sentences(Settings({**values, **chosen})):
         talk.say(way)
     return chosen
+
+
+def _possible(settings: Settings, limits: list[str]) -> dict[str, float]:
+    """Return the values of these limits that setup offers: those in the settings, all lowered by the same factor if the
+    board can't turn the wheels so fast."""
+    share = board_of(*settings.board()).most_rps / max_wheel_rps(settings)
+    return {key: settings[key] if share >= 1 else floor(1000 * share * settings[key]) / 1000 for key in limits}
+
+
+def _wrong(settings: Settings) -> str:
+    """Return why the service would not start with these limits, or "" if it would."""
+    return wrong_limits(settings, board_of(*settings.board()))
 
 
 def _asked(key: str) -> str:

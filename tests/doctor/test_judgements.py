@@ -111,6 +111,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: it must be")), FAIL, "gate.lease_s = 9.0"),
     (
         "settings",
+        look(settings=("x.toml", Settings({"board.kind": "feetech", "limits.vx_mps": 0.5}), "")),
+        FAIL,
+        "lower [limits], or see board.per_rps; the service won't start until this is fixed",
+    ),
+    (
+        "settings",
         look(active_settings=of("ugv"), settings=("x.toml", Settings(), "")),
         WARN,
         "other settings than those in x.toml: board",

@@ -11,11 +11,13 @@ import pytest
 from failstop import config
 from failstop.board.arduino.codec import COUNTS, PERIODS
 from failstop.board.kinds import board_of
+from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import sizes, turn, wheels
 from failstop.setup.draft import Draft
 from failstop.setup.halt import Halt
 from failstop.setup.talk import Left, NotAnAnswer, Talk
+from failstop.supervisor.fit import checked_board
 from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, words
 from tests.setup.person import Person
@@ -163,6 +165,49 @@ def test_sizes_of_a_robot_with_a_name_are_offered(place: Path, monkeypatch: pyte
     monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: "")
     found = sizes.step(conversation, {"board.kind": "rrc", "wheels.layout": "mecanum"}, known=True)
     assert found["wheels.diameter_m"] == 0.08
+
+
+SLOW = {"board.kind": "feetech", "wheels.layout": "omni3"}
+"""A board whose wheels turn no faster than 0.73 times a second."""
+SIZES = ["0.08", "0.125"]
+
+
+def chosen(place: Path, monkeypatch: pytest.MonkeyPatch, *typed: str) -> dict[str, object]:
+    """The sizes and limits by somebody who types this for a robot with the board SLOW."""
+    answers = iter(typed)
+    monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: next(answers))
+    conversation = talk(place)
+    conversation.silent = False
+    found = sizes.step(conversation, SLOW, known=False)
+    assert next(answers, None) is None
+    checked_board(Settings({**SLOW, **found}), None)
+    return found
+
+
+def test_limits_that_are_offered_are_such_that_the_service_starts(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SettingError, match=r"lower \[limits\]"):
+        checked_board(Settings({**SLOW, "wheels.diameter_m": 0.08, "wheels.lever_m": 0.125}), None)
+    found = chosen(place, monkeypatch, *SIZES, "", "", "")
+    usual = Settings(dict(SLOW))
+    shares = [float(str(found[key])) / usual[key] for key in sizes.LIMITS]
+    assert shares == pytest.approx([shares[0]] * 3, rel=0.01), "the robot is slower, and drives as it would"
+    assert 0.8 < shares[0] < 1
+
+
+def test_limits_with_which_the_service_would_not_start_are_asked_again(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = chosen(place, monkeypatch, *SIZES, "0.2", "", "", "0.1", "", "0.2")
+    assert (found["limits.vx_mps"], found["limits.wz_radps"]) == (0.1, 0.2)
+    assert "type the limits again" in capsys.readouterr().out
+
+
+def test_wrong_limits_that_options_gave_are_refused_and_not_kept(place: Path) -> None:
+    given = {"diameter_m": "0.08", "lever_m": "0.125", "vx_mps": "0.2", "vy_mps": "0.2", "wz_radps": "1"}
+    conversation = talk(place, **given)
+    with pytest.raises(Left, match=r"the board takes 0\.732 turns of a wheel a second, and the limits are "):
+        sizes.step(conversation, SLOW, known=False)
+    assert list(conversation.draft.answers) == ["diameter_m", "lever_m"]
 
 
 BRACKETS = "Press Enter to accept the value in brackets."
