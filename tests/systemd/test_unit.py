@@ -22,6 +22,7 @@ from failstop.policy.layouts import BOARDS
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS
+from failstop.setup import ports
 from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
@@ -155,12 +156,25 @@ def test_the_wheels_stand_before_the_machine_sleeps() -> None:
 
 @pytest.mark.parametrize("name", [ONE, MANY])
 def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
-    """The port is otherwise refused to the service, and to its stop tool, until the next start."""
-    classes = [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
+    """The port is otherwise refused to the service, and to its stop tool, until the next start. Serial pins need no
+    module."""
     drivers = {"ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
-    wanted = " ".join(f"modprobe@{drivers[found]}.service" for found in classes)
+    wanted = " ".join(f"modprobe@{drivers[found]}.service" for found in allowed(name) if found in drivers)
     assert ("Wants", wanted) in settings(name)
     assert ("After", wanted) in settings(name)
+
+
+def allowed(name: str) -> list[str]:
+    """The classes of devices that a unit may open."""
+    return [value.split("-")[1].split()[0] for key, value in settings(name) if key == "DeviceAllow"]
+
+
+@pytest.mark.parametrize("name", [ONE, MANY, LATE, LATE_MANY])
+def test_the_service_and_its_stop_may_open_every_port_that_setup_offers(name: str) -> None:
+    """USB, and the serial pins of a Raspberry Pi or a Jetson; /dev/serial0 is a link to one of these."""
+    offered = [found[1] for node in ports.NODES if (found := re.match("/dev/(tty[A-Z]+)", node))]
+    assert len(offered) == len(ports.NODES) - 1
+    assert allowed(name) == offered
 
 
 def test_the_template_that_goes_on_trying_differs_in_the_name_alone() -> None:
