@@ -6,6 +6,8 @@ import contextlib
 import os
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
+from typing import Any
 
 from failstop.board.kinds import board_of
 from failstop.cli import style
@@ -53,7 +55,10 @@ QUESTIONS = {
 }
 """The keys of the setup's questions, each with the help text of the command-line option that answers the question."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
-REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
+REMEDIES = {
+    "INVALID": "this computer was too busy to judge: end other programs, then run it again",
+    finish.NO_RESULT: "its last message says why, and what to do",
+}
 """What to do after a stand test that did not pass, by the test's verdict. ROWS_SAY is shown for a verdict that is not
 in this table."""
 UNMOVED = "no wheel was turned"
@@ -115,19 +120,25 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     settings = {"device.path": ports.stable(device), **values, **wheels, **chosen}
     checked_board(Settings(dict(settings)), None)  # as the service does when it starts
     finish.watchdog(talk, kind)
-    evidence = finish.proof(talk, settings, device, name, halt)
-    while evidence and not evidence["passed"]:
-        talk.warn(f"The stand test ended with {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
-        if talk.silent or not talk.agreed("repeat", "Run it again? (yes, no)", YES):
-            break
-        evidence = finish.proof(talk, settings, device, name, halt)
-    proved = not evidence or evidence["passed"]
-    if not (proved or talk.agreed("unproved", "Write the settings anyway? (yes, no)", NO)):
-        raise Left("the robot did not pass the stand test")
+    evidence = _prove(talk, settings, device, name, halt)
     path = finish.write(talk, finish.text(settings, robot, evidence), name)
     talk.draft.forget()
     finish.doctor(talk, path, device, name)
     finish.closing(talk, path, name, evidence, settings)
+
+
+def _prove(talk: Talk, settings: Mapping[str, object], device: str, name: str, halt: Halt) -> Mapping[str, Any]:
+    """Run the stand test, and again if it did not pass and the person wants to. Returns its evidence, which is empty if
+    the person skips the test. Raises Left if the test did not pass and the settings must not be written."""
+    evidence = finish.proof(talk, settings, device, name, halt)
+    while evidence and not evidence["passed"]:
+        talk.warn(f"The stand test ended with {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
+        if talk.silent or not talk.agreed("repeat", "Run it again? (yes, no)", YES):
+            if talk.agreed("unproved", "Write the settings anyway? (yes, no)", NO):
+                break
+            raise Left("the robot did not pass the stand test")
+        evidence = finish.proof(talk, settings, device, name, halt) or evidence
+    return evidence
 
 
 def _resume(talk: Talk) -> None:

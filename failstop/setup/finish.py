@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 from failstop import config, helpers
+from failstop.api.errors import Refused
 from failstop.board.driver import language_of
 from failstop.board.kinds import watchdog_of
 from failstop.cli import style
@@ -33,7 +34,7 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import Settings
 from failstop.setup.halt import WAITS_S, Halt
 from failstop.setup.rig import toml
-from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
+from failstop.setup.talk import NO, Left, NotAnAnswer, Talk, yes_or_no
 
 CONSENT = "spin\n"
 """The word that `failstop prove` wants to read before it turns the wheels."""
@@ -47,6 +48,8 @@ NOT_YET = "service"
 """The doctor's check whose result setup does not show, because this check needs a running service, and the service is
 started only after the setup."""
 RESULT = "result.json"
+NO_RESULT = "no result"
+"""The verdict of a stand test that did not begin, or could not save its result."""
 
 
 def watchdog(talk: Talk, kind: str) -> None:
@@ -66,8 +69,8 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
     """Run the short stand test with these settings, as the sixth step of the setup. Returns the evidence of the test,
-    or an empty dict if no test was made. Raises Left if nobody can be asked. If a signal such as Ctrl-C ends the test,
-    `halt` stops the wheels, and KeyboardInterrupt is raised."""
+    or an empty dict if the person skips the test. Raises Left if nobody can be asked. If a signal such as Ctrl-C ends
+    the test, `halt` stops the wheels, and KeyboardInterrupt is raised."""
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
@@ -75,8 +78,8 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         )
         talk.say("Then run the stand test with the command shown at the end.")
         return {}
-    agreed = talk.given.pop("prove", "")
-    if agreed and agreed != YES:
+    agreed = talk.ask("prove", "", "", yes_or_no, keep=False) if "prove" in talk.given else ""
+    if agreed == NO:
         talk.warn("You skipped the stand test, so nothing is proved yet.", "the command for it is shown at the end")
         return {}
     if talk.silent and not agreed:
@@ -88,7 +91,7 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         path = os.path.join(place, "settings.toml")
         with open(path, "w", encoding="utf-8") as file:
             file.write(toml(values))
-        words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder]
+        words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder, "--name", name]
         sys.stdout.flush()
         whole = helpers.python("failstop", *words)
         code, interrupted = _run(whole, CONSENT if agreed else None)
@@ -100,7 +103,9 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
             found: dict[str, Any] = json.load(file)
         return found
-    return {}
+    if code == Refused.exit_code and not agreed:
+        return {}
+    return {"passed": False, "verdict": NO_RESULT}
 
 
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
