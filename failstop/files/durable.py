@@ -61,20 +61,35 @@ def _check_regular(found: os.stat_result, path: str) -> None:
         raise OSError(EINVAL, f"{what}, not a regular file", path)
 
 
-def write_draft(draft: str, data: bytes) -> None:
+def write_draft(draft: str, data: bytes, like: str = "") -> None:
     """Write a new draft in place of an old one, and sync it to the disk. If that fails, the draft is removed. Raises
-    OSError."""
+    OSError.
+
+    With `like`, the umask has no effect: the draft gets the owner, the group and the mode of that file, or the mode
+    0644 if the file does not exist. If this process may not give files away, the draft stays its own."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(draft)
     try:
         # Never write through a link, because this process may have more rights than the folder's owner.
         with open(draft, "xb", opener=lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o644)) as file:
+            if like:
+                _resemble(file.fileno(), like)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
     except OSError:
         _drop(draft)
         raise
+
+
+def _resemble(fd: int, path: str) -> None:
+    mode = 0o644
+    with contextlib.suppress(FileNotFoundError):
+        found = os.stat(path)
+        mode = found.st_mode & 0o777
+        with contextlib.suppress(PermissionError):
+            os.fchown(fd, found.st_uid, found.st_gid)
+    os.fchmod(fd, mode)
 
 
 def write_all(fd: int, data: bytes) -> None:

@@ -181,7 +181,8 @@ def write(talk: Talk, made: str, name: str) -> str:
         if talk.ask("replace", question, "", _replace, keep=False) != REPLACE:
             raise Left(f"{path} was left unchanged")
     try:
-        durable.write_draft(f"{path}.new", made.encode())
+        # The service runs as another user, who must be able to read the file.
+        durable.write_draft(f"{path}.new", made.encode(), path)
         if os.path.exists(path):
             talk.say(f"The previous settings are in {_keep(path)}.")
         durable.publish(f"{path}.new", path)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,15 @@ def test_whenever_it_ends_there_is_a_settings_file(calls: int, tmp_path: Path, m
     finish.write(Answers(path), "board.kind = 'rrc'\n", "failstop")  # type: ignore[arg-type]
     assert path.read_text() == "board.kind = 'rrc'\n"
     assert (tmp_path / "failstop.toml.old").read_text() == "board.kind = 'ugv'\n"
+
+
+def test_the_service_s_user_may_read_new_settings_whatever_the_umask(tmp_path: Path) -> None:
+    mask = os.umask(0o077)
+    try:
+        finish.write(Answers(path := tmp_path / "failstop.toml"), "board.kind = 'rrc'\n", "failstop")  # type: ignore[arg-type]
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
 
 
 REFUSED, NO_TEST = 2, 1

@@ -16,6 +16,7 @@ import pytest
 
 from failstop.files import durable
 from failstop_lab.machine.files import Fifo, Null
+from tests.support.children import needs_root
 
 from .simulated import content, open_fds, put
 
@@ -126,6 +127,32 @@ def test_a_draft_takes_the_place_of_an_old_one_for_all_to_read_whatever_the_umas
         os.umask(mask)
     assert draft.read_bytes() == b"whole"
     assert stat.S_IMODE(draft.stat().st_mode) == 0o644
+
+
+@pytest.mark.parametrize(("before", "after"), [(None, 0o644), (0o640, 0o640), (0o664, 0o664)])
+def test_a_draft_that_is_to_resemble_a_file_can_be_read_by_the_same_people_whatever_the_umask(
+    tmp_path: Path, before: int | None, after: int
+) -> None:
+    path = tmp_path / "file"
+    if before:
+        path.touch()
+        path.chmod(before)
+    mask = os.umask(0o077)
+    try:
+        durable.write_draft(str(tmp_path / "draft"), b"whole", str(path))
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE((tmp_path / "draft").stat().st_mode) == after
+
+
+@needs_root
+def test_a_draft_that_is_to_resemble_a_file_has_its_owner_and_group(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    os.chown(path, 1, 2)
+    durable.write_draft(str(tmp_path / "draft"), b"whole", str(path))
+    found = (tmp_path / "draft").stat()
+    assert (found.st_uid, found.st_gid) == (1, 2)
 
 
 def test_a_draft_that_does_not_fit_is_not_left(tmp_path: Path) -> None:
