@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -82,6 +83,32 @@ def test_the_board_s_name_by_the_rule_is_what_new_settings_say(files: dict[str, 
     said = edited(example, files["DEBIAN/postinst"])
     default = f'#device.path = "{BY_KEY["device.path"].default}"\n'
     assert said == example.replace(default, f'device.path = "{LINK}"\n', 1) != example
+
+
+@pytest.mark.starts
+def test_the_robot_that_does_not_start_is_named_with_its_own_file(files: dict[str, str], tmp_path: Path) -> None:
+    """And the others are started."""
+    [start] = re.findall(r"^start\(\) \{\n.*?^\}\n", files["DEBIAN/postinst"], re.MULTILINE | re.DOTALL)
+    for name, refuses in (("deb-systemd-invoke", "failstop@front.service"), ("failstop", "")):
+        program = tmp_path / name
+        program.write_text(f'#!/bin/sh\necho "{name} $*" >>{tmp_path}/calls\n[ "$2" != "{refuses}" ]\n')
+        program.chmod(0o755)
+    wants = tmp_path / "multi-user.target.wants"
+    wants.mkdir()
+    for robot in ("front", "rear"):
+        (wants / f"failstop@{robot}.service").symlink_to("/nowhere")
+    script = f"set -e\nfailstop={tmp_path}/failstop\nsettings=/etc/failstop/failstop.toml\n{start}start {tmp_path}\n"
+    environ = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["sh", "-c", script], env=environ, capture_output=True, text=True, check=True)
+    assert done.stderr == (
+        "failstop@front does not run yet: is the board plugged in, at the device.path of /etc/failstop/front.toml?\n"
+    )
+    assert (tmp_path / "calls").read_text().splitlines() == [
+        "deb-systemd-invoke start failstop.service",
+        "deb-systemd-invoke start failstop@front.service",
+        "failstop config --check /etc/failstop/front.toml",
+        "deb-systemd-invoke start failstop@rear.service",
+    ]
 
 
 def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:
