@@ -193,8 +193,10 @@ RESET_SERVICE = Service(
 STOP_SERVICE = Service(
     "~/stop",
     "std_srvs/srv/Trigger",
-    "latches a stop and answers after 1 s at most. Success means that the stop is known to be written to the board; "
-    "the message says what else is proved",
+    "latches a stop and answers after 1 s at most. Success means that the stop is known to be written to the board, "
+    "and that nothing shows that it fails: the port is not lost, the board is not deaf, and the wheels don't turn "
+    "again. The message says what else is proved, or why you need the power switch. If a stop was latched before, "
+    "these are the proofs of that stop, and the message says so",
 )
 SERVICES = (ENABLE_SERVICE, RESET_SERVICE, STOP_SERVICE)
 ARM_SERVICES = tuple(

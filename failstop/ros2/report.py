@@ -10,7 +10,7 @@ from typing import Any
 from failstop.api import steps, verdict
 from failstop.api.state import State, Stop
 from failstop.messages import box
-from failstop.policy.proofs import NO_IMU, NOT_SENT, TO_A_STRANGER, wheels_seen
+from failstop.policy.proofs import NO_IMU, TO_A_STRANGER, wheels_seen
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 
@@ -200,22 +200,38 @@ def says(names: str, scan: str) -> str:
 
 
 def proof(before: State | None, now: State | None, *, final: bool = False) -> tuple[bool, str] | None:
-    """Whether the requested stop was written to the board. Returns (True if it is known to be written, what is known),
-    or None while more may become known. `before`: the state before the request. `now`: the present state. With `final`,
-    the result is never None."""
+    """Whether the requested stop was written to the board. Returns (True if it is known to be written and nothing shows
+    that it fails, what is known), or None while more may become known. `before`: the state before the request. `now`:
+    the present state. With `final`, the result is never None.
+
+    If a stop was latched before the request, the service keeps the proofs of that stop. So they count only once the
+    service has heard the request, and only as long as the present state does not contradict them."""
     stop = now.last_stop if now else None
-    if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
+    if now is None or stop is None or not now.estop or (before and not _heard(before, now)):
         return (False, "the stop was requested, but the service has not confirmed it yet") if final else None
+    latch = f"stop latched ({words.plain(now.cause)})"
     if stop.written_s is None:
-        return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
-    if (stop.observed_s if stop.observed_by else stop.acknowledged_s) is None and not final:
-        return None
+        return False, f"{latch}, and it could NOT be written: use the POWER SWITCH"
+    turns_again = stop.observed_s is not None and now.turning.does == "turning"
+    doubt = verdict.doubt(now) or (verdict.unseen(now) if turns_again else "")
+    proven = (stop.observed_s if stop.observed_by else stop.acknowledged_s) is not None
+    if (doubt or not proven) and not final:
+        return None  # the stop may still take effect
+    if doubt:
+        return False, f"{latch}, but {doubt}: use the POWER SWITCH"
     to = "" if stop.believed else f" {TO_A_STRANGER}"
-    told = [f"written after {stop.written_s * 1e3:.1f} ms{to}" if stop.sent else NOT_SENT]
+    told = [f"written after {stop.written_s * 1e3:.1f} ms{to}"]
     told.append(
         "not acknowledged yet"
         if stop.acknowledged_s is None
         else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
     told.append(_seen(stop))
-    return stop.sent and stop.believed, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"
+    older = "; this stop was latched before the request" if before and before.estop else ""
+    return stop.believed, f"{latch}: {', '.join(told)}{older}"
+
+
+def _heard(before: State, now: State) -> bool:
+    """Whether the service has heard a stop since `before`. It raises the epoch for every stop, but it publishes a new
+    last stop only if none was latched."""
+    return now.epoch != before.epoch and (before.estop is not None or now.last_stop != before.last_stop)

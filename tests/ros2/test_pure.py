@@ -8,6 +8,7 @@ import math
 import os
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -214,19 +215,19 @@ def test_the_proof_of_a_stop_grows() -> None:
     before, asked_for = states.driving(), own("stop service")
     assert report.proof(before, before) is None
     assert report.proof(before, None) is None
-    asked = states.latched(asked_for, last_stop=states.stop(acknowledged_s=None, observed_s=None))
+    asked = states.latched(asked_for, epoch=2, last_stop=states.stop(acknowledged_s=None, observed_s=None))
     assert report.proof(before, asked) is None
     assert report.proof(before, asked, final=True) == (
         True,
         "stop latched (stop service): written after 0.2 ms, not acknowledged yet, wheels not seen still yet",
     )
-    blind = states.latched(asked_for, last_stop=states.stop(observed_s=None, observed_by=""))
+    blind = states.latched(asked_for, epoch=2, last_stop=states.stop(observed_s=None, observed_by=""))
     assert report.proof(before, blind) == (
         True,
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, "
         "not observed: the robot has no IMU",
     )
-    seen = states.latched(asked_for, last_stop=states.stop())
+    seen = states.latched(asked_for, epoch=2, last_stop=states.stop())
     assert report.proof(before, seen) == (
         True,
         "stop latched (stop service): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms",
@@ -237,18 +238,54 @@ def test_the_proof_of_a_stop_grows() -> None:
     ("stop", "done", "said"),
     [
         (states.stop(observed_s=0.0), True, "acknowledged after 4.4 ms, no shaking seen before or after"),
-        (states.stop(sent=False), False, "NOT sent"),
+        (states.stop(sent=False), False, "the board accepts no bytes"),
+        (states.stop(believed=False), False, "written after 0.2 ms to "),
         (states.stop(written_s=None), False, "could NOT be written: use the POWER SWITCH"),
         (None, False, "the stop was requested, but the service has not confirmed it yet"),
     ],
 )
 def test_a_stop_counts_as_done_once_it_is_known_to_be_written(stop: Stop | None, done: bool, said: str) -> None:
     asked_for = own("stop service")
-    now = states.latched(asked_for, last_stop=stop) if stop else None
+    now = states.latched(asked_for, epoch=2, last_stop=stop) if stop else None
     known = report.proof(states.driving(), now, final=True)
     assert known
     assert known[0] is done
     assert said in known[1]
+
+
+UNCONFIRMED = "the stop was requested, but the service has not confirmed it yet"
+
+
+def test_an_older_stop_proves_nothing_until_the_service_has_heard_the_request() -> None:
+    before = states.latched(epoch=2)
+    assert report.proof(before, before) is None
+    assert report.proof(before, before, final=True) == (False, UNCONFIRMED)
+    assert report.proof(before, dataclasses.replace(before, epoch=3)) == (
+        True,
+        "stop latched (key1): written after 0.2 ms, acknowledged after 4.4 ms, observed after 300 ms; "
+        "this stop was latched before the request",
+    )
+
+
+@pytest.mark.parametrize("older", [True, False])
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"device": Device("/dev/x", "lost", "alive")}, "the port /dev/x is lost, so no stop reaches the board"),
+        ({"device": Device("/dev/x", "open", "deaf")}, "the board does not hear, so a stop may not reach the wheels"),
+        ({"turning": states.TURNS_ON}, "the wheels turn although they are told to stop"),
+        ({"turning": states.TURNS}, "the wheels are told to stop, but still turn"),
+    ],
+)
+def test_proofs_do_not_count_against_what_is_seen_now(changed: dict[str, Any], says: str, older: bool) -> None:
+    before = states.latched(epoch=2) if older else states.driving(epoch=2)
+    now = states.latched(epoch=3, **changed)
+    assert report.proof(before, now) is None, "the stop may still take effect"
+    known = report.proof(before, now, final=True)
+    assert known
+    assert not known[0]
+    assert known[1].startswith(f"stop latched (key1), but {says}")
+    assert known[1].endswith(": use the POWER SWITCH")
 
 
 def test_own_name_and_number_are_left_out_of_reasons() -> None:

@@ -49,7 +49,25 @@ def test_stop_tells_its_three_levels(scene: BridgeTrial) -> None:
     assert text.startswith("stop latched (stop service): written after ")
     assert "acknowledged after " in text
     assert scene.trial.robot.state.estop
-    assert scene.eyes.call("stop")[1].startswith("stop latched (stop service): written after ")
+    done, text = scene.eyes.call("stop")
+    assert done
+    assert text.startswith("stop latched (stop service): written after ")
+    assert text.endswith("; this stop was latched before the request")
+
+
+def test_a_stop_is_no_success_once_the_cable_is_out(scene: BridgeTrial) -> None:
+    """Whatever the stop that is latched already has proved."""
+    scene.trial.robot.estop("hand near wheel")
+    scene.state(lambda state: state["estop"] and state["last_stop"]["acknowledged_us"] is not None)
+    scene.trial.board.unplug()
+    try:
+        done, text = scene.eyes.call("stop")
+        assert not done
+        assert text.startswith("stop latched (stop request: hand near wheel ")
+        assert text.endswith(" is lost, so no stop reaches the board: use the POWER SWITCH")
+    finally:
+        scene.trial.board.replug()
+        wait_for("the board", lambda: scene.trial.robot.state.device.link == "alive")
 
 
 def test_parameters_show_the_settings(scene: BridgeTrial) -> None:
