@@ -6,9 +6,10 @@ robot may obey the stop twice. In the other order, a crash could lose the stop.
 
 from __future__ import annotations
 
+from failstop.api import verdict
 from failstop.fleet import levels, replay, signed
 from failstop.fleet.levels import Order, StopAnswer
-from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
+from failstop.policy.proofs import LINK_UNASKED
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -42,16 +43,24 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """Find out from the service's state which levels the stop has reached. Returns True if one of them is new."""
+        """Find out from the service's state which levels the stop has reached. Returns True if one of them is new.
+
+        If a stop was latched already, the service keeps the proofs of that stop. They count only as long as the present
+        state does not contradict them."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
+        is_older = self._epoch is not None and stop.epoch <= self._epoch
+        if is_older and (why := verdict.doubt(state) or verdict.unproven(state)):
+            self.why = why
+            return False
+        turns = state.turning.does == "turning"
         self.confirms = confirming(state)
         known = {
             levels.FAILED: stop.written_s is None,
             levels.WRITTEN: stop.written_s is not None and stop.sent and stop.believed,
             levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
-            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
+            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None and not turns,
         }
         new = {
             level: round(now_s - self._since_s, 4) for level, so in known.items() if so and level not in self.reached
@@ -67,14 +76,12 @@ class Duty:
         must not be older than the request.
 
         If a stop was latched already, the service makes no new stop. Then the service's own epoch must be newer than
-        before the request. A board that can answer must also still be heard.
+        before the request.
         """
         if self._epoch is None:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
-        return stop.epoch > self._epoch or (
-            was_latched and state.epoch > self._epoch and state.device.link in (LINK_ALIVE, LINK_UNASKED)
-        )
+        return stop.epoch > self._epoch or (was_latched and state.epoch > self._epoch)
 
     def open(self, now_s: float) -> bool:
         """Return True until this stop has all its proofs (written, acknowledged, observed), but for at most

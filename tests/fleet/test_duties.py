@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Imu
+from failstop.api.snapshot import Device, Imu
 from failstop.api.state import State
 from failstop.fleet import duties, levels, signed
 from failstop.fleet.duties import Duties
@@ -126,6 +126,35 @@ def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_i
     another = dataclasses.replace(heard, cause=causes.DIED("gate"))
     assert robot.look(another, 0.3) == [], "it was reset meanwhile, and what is told of the new one comes soon"
     assert told(robot.look(heard, 0.4)) == [[levels.ASKED, levels.WRITTEN, levels.ACKNOWLEDGED]]
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"device": Device("/dev/x", "lost", "alive")}, "the port /dev/x is lost, so no stop reaches the board"),
+        ({"device": Device("/dev/x", "open", "deaf")}, "the board does not hear"),
+        ({"turning": states.TURNS_ON}, "the wheels turn although they are told to stop"),
+    ],
+)
+def test_the_proofs_of_an_older_stop_do_not_count_against_what_is_seen_now(
+    robot: Duties, changed: dict[str, Any], why: str
+) -> None:
+    before = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=4e-03, observed_s=0.3)
+    begin(robot, order(), before=before)
+    heard = dataclasses.replace(before, epoch=EPOCH + 1)
+    (answer,) = robot.look(dataclasses.replace(heard, **changed), 0.1)
+    assert list(answer.reached) == [levels.ASKED]
+    assert why in answer.why
+    assert robot.waits(0.1)
+    (answer,) = robot.look(heard, 0.2)
+    assert (set(answer.reached), answer.why) == ({levels.ASKED, *levels.PROOFS}, "")
+
+
+def test_wheels_that_begin_to_turn_again_are_not_observed_to_be_still(robot: Duties) -> None:
+    before = stopped(epoch=EPOCH, written_s=1e-06, acknowledged_s=4e-03, observed_s=0.3)
+    begin(robot, order(), before=before)
+    turns = dataclasses.replace(before, epoch=EPOCH + 1, turning=states.TURNS)
+    assert told(robot.look(turns, 0.1)) == [[levels.ASKED, levels.WRITTEN, levels.ACKNOWLEDGED]]
 
 
 @pytest.mark.parametrize(("t", "confirms"), [(UNIX_S - 1, False), (UNIX_S + 0.1, True)])
