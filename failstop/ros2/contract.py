@@ -101,8 +101,8 @@ BATTERY = Topic(
     1,
     "the voltage. `power_supply_status` is charging while a charger is plugged in, discharging while none is, and "
     "unknown until failstop has seen the voltage jump, because only such a jump shows whether a charger is plugged in. "
-    "Percentage, current and charge are NaN. If the board stops reporting its battery, the voltage is NaN too and "
-    "`present` is false",
+    "Percentage, current and charge are NaN. If the board stops reporting its battery, the port is lost or the service "
+    "ends, the voltage is NaN too, `present` is false, and `power_supply_status` is unknown",
 )
 ODOMETRY = Topic(
     "wheel/odom",

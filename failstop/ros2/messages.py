@@ -66,12 +66,13 @@ BATTERY_CONSTANT: Fields = {
 
 
 def battery(volts: float | None, plugged: str, ros_ns: int) -> Fields:
-    """The fields of a sensor_msgs/BatteryState. `volts` is None if the board reports no battery."""
+    """The fields of a sensor_msgs/BatteryState. `volts` is None if nobody knows the battery's voltage at present. Then
+    nobody knows whether it is charged either."""
     return {
         "header": {"stamp": stamp(ros_ns)},
         "voltage": nan if volts is None else volts,
         "present": volts is not None,
-        "power_supply_status": CHARGE[plugged],
+        "power_supply_status": CHARGE["unknown" if volts is None else plugged],
     }
 
 

@@ -258,13 +258,14 @@ class Outward:
             fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
-    def _publish_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
+    def _publish_battery(self, state: State | None, ros_ns: int, now_ns: int, *, slow: bool) -> None:
         """Publish each new reading once, with the time at which it was read. With `slow`, also publish that the battery
-        is no longer reported. Otherwise subscribers would keep the last voltage."""
+        is no longer reported, for example because the port is lost or no service is running. Otherwise subscribers
+        would keep the last voltage."""
         self._battery_seen = True
-        if not state.battery_v or not state.is_current(state.ages.battery_s):
+        if not state or not state.battery_v or not state.is_current(state.ages.battery_s):
             if slow:
-                self._publish(contract.BATTERY, messages.battery(None, state.plugged, ros_ns))
+                self._publish(contract.BATTERY, messages.battery(None, "unknown", ros_ns))
         elif state.battery_ns != self._battery_ns and now_ns - self._battery_published_ns >= BATTERY_NS:
             self._battery_ns, self._battery_published_ns = state.battery_ns, now_ns
             read_ns = state.battery_ns + self._offset_ns if state.battery_ns else ros_ns
@@ -275,7 +276,7 @@ class Outward:
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if state and (state.battery_v or self._battery_seen) and state.device.state == "open":
+        if self._battery_seen or (state and state.battery_v):
             self._publish_battery(state, ros_ns, now_ns, slow=slow)
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return

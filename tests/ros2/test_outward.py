@@ -129,6 +129,30 @@ def test_a_battery_of_a_silent_board_is_not_published_as_new(scene: BridgeTrial)
         scene.trial.board.silent(False)
 
 
+def test_a_battery_is_not_present_while_the_cable_is_out_or_no_service_runs(scene: BridgeTrial) -> None:
+    def present(message: dict[str, Any]) -> bool:
+        return bool(message["present"])
+
+    def absent(message: dict[str, Any]) -> bool:
+        return not message["present"] and math.isnan(message["voltage"])
+
+    scene.eyes.hear("battery", "sensor_msgs/msg/BatteryState")
+    scene.eyes.next("battery", present)
+    scene.trial.board.unplug()
+    try:
+        scene.eyes.next("battery", absent)
+    finally:
+        scene.trial.board.replug()
+    scene.eyes.next("battery", present)
+    scene.trial.leave()
+    scene.trial.service.kill()
+    try:
+        scene.eyes.next("battery", absent)
+    finally:
+        scene.trial.service.start()
+    scene.eyes.next("battery", present)
+
+
 def test_gamepad(scene: BridgeTrial) -> None:
     scene.eyes.hear("gamepad", "sensor_msgs/msg/Joy")
 

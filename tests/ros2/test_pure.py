@@ -112,9 +112,11 @@ def test_battery_fields(plugged: str, status: int) -> None:
 
 
 def test_a_battery_that_the_board_does_not_report_is_not_present() -> None:
-    fields = messages.battery(None, "unknown", 0)
-    assert math.isnan(fields["voltage"])
-    assert fields["present"] is False
+    for plugged in ("unknown", "plugged"):
+        fields = messages.battery(None, plugged, 0)
+        assert math.isnan(fields["voltage"])
+        assert fields["present"] is False
+        assert fields["power_supply_status"] == 0
 
 
 def test_gamepad_values() -> None:
