@@ -127,7 +127,8 @@ JOINT_STATES = Topic(
     PLAIN,
     10,
     "each wheel's position and velocity as the board reports them; the velocity is NaN if the last report is older "
-    "than 0.5 s. If the board does not report its wheels, both are computed from the commands. A steered base also has "
+    "than 0.5 s, and while no service runs. If the board does not report its wheels, both are computed from the "
+    "commands, and the velocity is zero while no service runs. A steered base also has "
     "`steering`, the last commanded angle, positive to the left. An arm adds each joint that has been read",
 )
 STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON, with the keys that are listed below")

@@ -161,9 +161,10 @@ class Wheels:
         steering_rad: float | None = None,
         turning: snapshot.Turning | None = None,
     ) -> None:
-        """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service, which means zero.
-        `steering_rad`: State.steering_rad; None keeps the angle. `turning`: State.turning. If the board reports its
-        wheels, only the reports are used, and the speed is NaN after an old report."""
+        """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service. Without a service, a
+        commanded speed is zero, and a measured speed is NaN. `steering_rad`: State.steering_rad; None keeps the angle.
+        `turning`: State.turning. If the board reports its wheels, only the reports are used, and the speed is NaN after
+        an old report."""
         if steering_rad is not None:
             self._steering_rad = {"steering": steering_rad}
         if not self._measured:
@@ -171,7 +172,7 @@ class Wheels:
                 self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
         self._ns = now_ns
         if wheels_radps is None:
-            self._velocity_radps = [0.0] * len(self._names)
+            self._velocity_radps = [nan if self._measured else 0.0] * len(self._names)
             return
         if len(wheels_radps) != len(self._names):
             self._names = [f"wheel_{name}" for name in wheels_radps.names]

@@ -123,7 +123,7 @@ def test_the_interlock_holds_while_one_at_most_publishes(scene: BridgeTrial) -> 
 
 
 def test_a_service_that_was_started_anew_is_found_again(scene: BridgeTrial) -> None:
-    """While there is none, no wheel turns in what the bridge publishes."""
+    """While there is none, no wheel turns in what the bridge publishes, as this board's wheels are not measured."""
     driver = scene.driving()
     scene.eyes.hear("joint_states", "sensor_msgs/msg/JointState")
     scene.eyes.next("joint_states", lambda message: all(message["velocity"][:4]))

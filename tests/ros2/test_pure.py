@@ -137,7 +137,7 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
         assert position == pytest.approx([math.pi] * count)
         assert velocity == [0.0] * count
         wheels.update(None, 9 * S)
-        assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * count)
+        assert wheels.fields(0)[1][1:] == (pytest.approx([math.pi] * count), [0.0] * count)
 
 
 def test_wheels_turn_as_far_as_they_are_measured_to() -> None:
@@ -156,7 +156,12 @@ def test_wheels_turn_as_far_as_they_are_measured_to() -> None:
     assert position == [0.25, 7.0]
     assert all(map(math.isnan, velocity)), "an old report says nothing of how fast they turn now"
     wheels.update(None, 5 * S)
-    assert wheels.fields(5 * S)[1][1] == [0.25, 7.0]
+    _, position, velocity = wheels.fields(5 * S)[1]
+    assert position == [0.25, 7.0]
+    assert all(map(math.isnan, velocity)), "without a service nobody measures them"
+    wheels.update(told, 6 * S, turning=snapshot.Turning())
+    wheels.update(told, 7 * S, turning=snapshot.Turning())
+    assert wheels.fields(7 * S)[1][1:] == ([3.25, 10.0], [3.0, 3.0]), "the next service has no report yet"
 
 
 def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:
