@@ -88,11 +88,11 @@ def running(look: Look) -> list[Finding]:
     if state.device.link == "unheard":
         text = f"{where}, and {state.device.path} has not answered since it came back: it may not be the board"
         return fail(text, f"failstop why --name {look.name}", OFF)
-    if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
-        return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     if doubt := verdict.doubt(state):
         return fail(f"{where}, and {doubt}", f"failstop why --name {look.name}", OFF)
     motion = f"a stop is latched: {state.cause}" if state.cause else f"motion {'en' if state.enabled else 'dis'}abled"
+    if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
+        return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, {motion}")
     if state.imu is None and look.board.observed_by == BY_IMU:
         text = "no IMU reports, so nothing observes whether the wheels are still"

@@ -19,7 +19,7 @@ from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, STATE_FOLDER, UNIT, but, look, of, on, serving
-from tests.support.states import arm, stop
+from tests.support.states import TURNED, TURNS, arm, stop
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
 UNLOCKED = {name: but(row, memory_locked=False) for name, row in STATE.processes.items()}
@@ -136,6 +136,13 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
     ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
     (
+    ("service", look(service=serving(waiting_for="telemetry", turning=TURNED)), FAIL, "turning at the last reading"),
+    (
+        "service",
+        look(service=linked("unproven", turning=but(TURNS, unexpected=True))),
+        FAIL,
+        "the wheels turn although they are told to stop",
+    ),
         "service",
         look(service=serving(servos={"left wheel (servo 7)": (0.1, 70)})),
         WARN,
