@@ -137,6 +137,9 @@ def held(look: Look) -> list[Finding]:
         return found
     holders, unseen = look.holders
     ours = {row.pid for row in look.state.processes.values()} if look.state else set()
+    if look.service[-1]:
+        # The service is running, but its state can't be read. So its processes are known only by its name.
+        ours |= {holder.pid for holder in holders if holder.instance == look.name}
     # A login has its own check (console), which shows the command that ends it for good.
     others = [holder for holder in holders if holder.pid not in ours and not holder.is_login]
     for name in dict.fromkeys(holder.instance for holder in others if holder.instance):

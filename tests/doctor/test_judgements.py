@@ -225,6 +225,7 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
 
 RUNS = f"'failstop' is running (pid 100, user failstop, failstop {VERSION}"
 WELL = "device open, the board answers, motion"
+UNREADABLE = (None, "", "is of another version")
 FT232 = "USB 0403:6001, a FT232 chip: many devices have one, so it doesn't tell which board this is"
 READ = (
     "the service reads it as hoverboard, which answers no questions, and reports a battery of 36.1 V; its last "
@@ -245,6 +246,7 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("holders", look(holders=OPENED), "only the service has it open"),
         ("grabbers", look(), "neither ModemManager nor brltty is running"),
         ("console", look(), "no login waits on it, and the kernel writes no messages to it"),
+        ("holders", look(holders=OPENED, service=UNREADABLE), "only the service has it open"),
         (
             "console",
             look(files=on("agetty", command="/sbin/agetty -8 - tty1 linux")),
@@ -355,7 +357,6 @@ def test_other_services_are_named() -> None:
 
 
 SWITCHED = "sudo systemctl disable --now failstop-ros2@bob && sudo systemctl enable --now failstop-ros2@anna"
-UNREADABLE = (None, "", "is of another version")
 
 
 @pytest.mark.parametrize(
