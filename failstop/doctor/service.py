@@ -62,7 +62,8 @@ def _refused(look: Look) -> str:
 def _others(look: Look) -> list[str]:
     """The keys of the settings in which the running service differs from the file. Two keys are left out, because they
     may differ without a fault: the service's rights may change the lease, and an option may set the port."""
-    found = look.settings[1].flat()
+    # The service caps the speeds while nobody has confirmed the scale, so a restart would cap the file's too.
+    found = scale.capped(look.settings[1], assumed=look.board.scale_assumed).flat()
     return [
         key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value
     ]
@@ -90,9 +91,9 @@ def running(look: Look) -> list[Finding]:
         return fail(text, f"failstop why --name {look.name}", OFF)
     if doubt := verdict.doubt(state):
         return fail(f"{where}, and {doubt}", f"failstop why --name {look.name}", OFF)
-    motion = f"a stop is latched: {state.cause}" if state.cause else f"motion {'en' if state.enabled else 'dis'}abled"
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
+    motion = f"a stop is latched: {state.cause}" if state.cause else f"motion {'en' if state.enabled else 'dis'}abled"
     found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, {motion}")
     if state.imu is None and look.board.observed_by == BY_IMU:
         text = "no IMU reports, so nothing observes whether the wheels are still"

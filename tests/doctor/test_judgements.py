@@ -8,6 +8,7 @@ import pytest
 
 from failstop.api.snapshot import Ages, Client, Scale, Starved
 from failstop.board.finder import Device
+from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
 from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
@@ -16,6 +17,7 @@ from failstop.doctor.service import ALONE
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
 from failstop.policy import causes
+from failstop.policy.scale import capped
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, STATE_FOLDER, UNIT, but, look, of, on, serving
@@ -134,8 +136,6 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("stop path", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
     ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
-    ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
-    (
     ("service", look(service=serving(waiting_for="telemetry", turning=TURNED)), FAIL, "turning at the last reading"),
     (
         "service",
@@ -143,6 +143,8 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         FAIL,
         "the wheels turn although they are told to stop",
     ),
+    ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
+    (
         "service",
         look(service=serving(servos={"left wheel (servo 7)": (0.1, 70)})),
         WARN,
@@ -223,9 +225,9 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
     return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
 
 
+UNREADABLE = (None, "", "is of another version")
 RUNS = f"'failstop' is running (pid 100, user failstop, failstop {VERSION}"
 WELL = "device open, the board answers, motion"
-UNREADABLE = (None, "", "is of another version")
 FT232 = "USB 0403:6001, a FT232 chip: many devices have one, so it doesn't tell which board this is"
 READ = (
     "the service reads it as hoverboard, which answers no questions, and reports a battery of 36.1 V; its last "
@@ -244,9 +246,9 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("permission", look(service=NOBODY), "anna may open it"),
         ("holders", look(), "no program has it open"),
         ("holders", look(holders=OPENED), "only the service has it open"),
+        ("holders", look(holders=OPENED, service=UNREADABLE), "only the service has it open"),
         ("grabbers", look(), "neither ModemManager nor brltty is running"),
         ("console", look(), "no login waits on it, and the kernel writes no messages to it"),
-        ("holders", look(holders=OPENED, service=UNREADABLE), "only the service has it open"),
         (
             "console",
             look(files=on("agetty", command="/sbin/agetty -8 - tty1 linux")),
@@ -570,6 +572,17 @@ def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> 
     [found] = [finding for name, finding in examine(given) if name == "settings"]
     assert found.level == OK
     assert found.text.startswith(says)
+
+
+def test_a_speed_that_the_service_caps_is_no_setting_of_its_own() -> None:
+    """A restart would cap it again."""
+    file = Settings({"board.kind": "arduino", "limits.vx_mps": 0.4})
+    board = board_of(*file.board())
+    assert board.scale_assumed
+    runs = look(active_settings=capped(file, assumed=True), settings=("x.toml", file, ""))
+    assert said(runs, "settings") == [("x.toml", "", "")]
+    runs = look(active_settings=capped(file, assumed=True), settings=("x.toml", of("arduino"), ""))
+    assert [text for text, *_ in said(runs, "settings")] == ["x.toml"], "both are capped to the same speed"
 
 
 def test_a_service_whose_own_board_can_not_be_described_any_more_is_looked_at_all_the_same() -> None:
