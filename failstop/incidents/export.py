@@ -26,7 +26,7 @@ TOPICS = {
 }
 """The topics below /failstop, each with its message type.
 
-- command: the newest command, for each tick of the gate in which a command arrived
+- command: the newest command, or another that drives, for each tick of the gate in which a command arrived
 - gated: the velocity that the gate decided, for each tick
 - wheels: the wheel speeds of each motor frame and stop burst that was written (rad/s)
 - measured: the wheel speeds that the board reported (rad/s)

@@ -59,13 +59,14 @@ class Tick(NamedTuple):
     enabled: bool
     manual: bool
     drives: bool
-    """True if the newest command is the one that drives."""
+    """True if `command` is the one that drives."""
     commands: int
     """How many commands arrived since the tick before."""
     age_us: int | None
-    """The age of the newest command, us. None if no command has arrived yet."""
+    """The age of `command`, us. None if no command has arrived yet."""
     command: tuple[float, float, float]
-    """The newest command: m/s forward, m/s left, rad/s counter-clockwise. It is unchecked, so it may also be NaN."""
+    """The newest command, or one that drives and has no tick yet: m/s forward, m/s left, rad/s counter-clockwise. It is
+    unchecked, so it may also be NaN."""
     velocity: tuple[float, float, float]
     """The velocity that the gate decided."""
     wheels_rps: tuple[float, ...]
@@ -225,6 +226,16 @@ class Incident:
     def number(self, key: str) -> float:
         """The value of a setting. If the file does not have it, its default."""
         return float(self.settings.get(key, BY_KEY[key].default))
+
+    def driver(self, last: Tick) -> Tick | None:
+        """The newest tick with a command that drove at the tick `last`. None if no tick has that command. Files of
+        older versions may lack it, if another source sent too."""
+        found = next((tick for tick in reversed(self.ticks) if tick.drives and tick.ns <= last.ns), None)
+        if found is None or found is last:
+            return found
+        timeout_s = self.settings.get(f"sources.{found.source}.timeout_s") or self.number("gate.command_timeout_s")
+        age_ns = last.ns - found.ns + (found.age_us or 0) * 1000
+        return found if age_ns <= float(timeout_s) * 1e9 else None
 
     def words(self, segment: str) -> dict[str, int]:
         """The words (single numbers) of a segment of shared memory, by their names."""

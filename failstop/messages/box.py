@@ -48,7 +48,7 @@ DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
 """The gate's possible decisions. Each entry in the gate's ring has the index of the decision in this tuple."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
-"""Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person has sent the newest command. DRIVES: the newest
+"""Flags of a gate tick. ENABLED: motion is enabled. MANUAL: a person has sent the tick's command. DRIVES: the tick's
 command is the one that drives."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
@@ -150,10 +150,11 @@ OWN_BURST_RECORD = bytes((OWN_BURST,))
 def unpack_gate(payload: bytes) -> dict[str, Any]:
     """The values of one tick of the gate, by name. Raises ValueError if the entry is damaged.
 
-    `block` is one of DECISIONS. `commands` counts the commands since the tick before. `age_us` is the age of the newest
-    command; None if there was no command yet. `command` is the velocity that the client asks for, and `velocity` is the
-    velocity that the gate commands. `wheels_rps` has the wheel speeds in turns per second, by wire id. `source` is the
-    source of the command, and `who` is the client that sent it.
+    The command of a tick is the newest one, or one that drives and has no tick yet. `block` is one of DECISIONS.
+    `commands` counts the commands since the tick before. `age_us` is the age of the command; None if there was no
+    command yet. `command` is the velocity that the client asks for, and `velocity` is the velocity that the gate
+    commands. `wheels_rps` has the wheel speeds in turns per second, by wire id. `source` is the source of the command,
+    and `who` is the client that sent it.
     """
     epoch, block, flags, commands, speeds, age_us, *numbers, source, who = TICK.unpack(payload)
     return {

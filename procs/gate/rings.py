@@ -31,11 +31,16 @@ class Frames:
 
 
 class GateBox:
-    """The gate's part of the black box: one record per tick, with the newest command and the resulting speeds."""
+    """The gate's part of the black box: one record per tick, with the newest command and the resulting speeds.
+
+    If several sources send, the newest command is often not the one that drives. So that each driving command has a
+    record too, its record comes first, and the newest command waits for the next tick.
+    """
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring
-        self._newest = NONE_YET
+        self._newest = self._driver = NONE_YET
+        """The newest command, and the newest driving command that has a record."""
         self._count = 0
 
     def command(self, command: Command) -> None:
@@ -44,8 +49,12 @@ class GateBox:
         self._count += 1
 
     def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
-        command = self._newest
-        drives = core.sources.driving(now_ns) is command
+        command, left, driver = self._newest, 0, core.sources.driving(now_ns)
+        # A command that was ignored, or that stopped the robot, is never left for later: it is not fresh in any source.
+        if driver and driver not in (command, self._driver) and core.sources.fresh(command.source, now_ns) is command:
+            command, left = driver, min(self._count, 1)
+        drives = driver is command
+        self._driver = command if drives else self._driver
         flags = core.enabled * box.ENABLED | command.manual * box.MANUAL | drives * box.DRIVES
         age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
         source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
@@ -53,6 +62,6 @@ class GateBox:
         speeds = len(core.speeds)
         room = (0.0,) * (box.MOST_SPEEDS - speeds)
         numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds, *room)
-        count, self._count = min(self._count, 255), 0
+        count, self._count = min(self._count - left, 255), left
         head = (epoch & box.MOST_U32, block, flags, count, speeds, age_us)
         self._ring.put(box.TICK.pack(*head, *numbers, source, who), now_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
-from math import isnan
+from math import isnan, nan
 from typing import Any
 
 import pytest
@@ -166,6 +166,58 @@ def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> Non
         assert (found["drives"], found["manual"], found["enabled"]) == (taken, manual, False)
         assert (found["source"], found["age_us"]) == (source[:16], 0)
         assert found["who"] == "nav ?" + "x" * 31
+
+
+TELEOP: dict[str, object] = {"sources.teleop.priority": 90, "sources.teleop.timeout_s": 0.5}
+"""A source with a higher priority than cmd_vel."""
+
+
+def two_send(*senders: str) -> list[tuple[str, bool, int]]:
+    """The source of each tick's command, whether it drives, and how many commands the tick counts. Each of `senders`
+    has the first letters of the sources that send before a tick, in this order."""
+    made = Recorder(settings=TELEOP)
+    for turn, letters in enumerate(senders):
+        for letter in letters:
+            source, session = {"t": ("teleop", 2), "c": ("cmd_vel", 1)}[letter]
+            made.command(turn * 20, (0.1, 0, 0), source, source, session)
+        made.tick(turn * 20)
+    return [(tick.source, tick.drives, tick.commands) for tick in made.incident().ticks]
+
+
+def test_a_command_that_drives_has_a_tick_though_another_source_sent_the_newest() -> None:
+    assert two_send("tc", "", "tc", "tc", "", "c") == [
+        ("teleop", True, 1),
+        ("cmd_vel", False, 1),
+        ("teleop", True, 1),
+        ("teleop", True, 2),
+        ("cmd_vel", False, 1),
+        ("cmd_vel", False, 1),
+    ]
+
+
+def test_a_command_that_drives_only_since_another_source_fell_silent_has_a_tick() -> None:
+    """The newest command is that of a third source, and has its own tick before."""
+    made = Recorder(
+        settings=TELEOP | {"sources.cmd_vel.priority": 10, "sources.slow.priority": 5, "sources.slow.timeout_s": 2.0}
+    )
+    made.command(0, (0.1, 0, 0), "teleop", "teleop", 3)
+    made.tick(0)
+    made.command(400, (0.1, 0, 0))
+    made.tick(400)
+    made.command(410, (0.1, 0, 0), "slow", "slow", 2)
+    for ms in (420, 520):
+        made.tick(ms)
+    ticks = [(tick.source, tick.drives, tick.commands) for tick in made.incident().ticks]
+    assert ticks == [("teleop", True, 1), ("cmd_vel", False, 1), ("slow", False, 1), ("cmd_vel", True, 0)]
+
+
+def test_a_command_that_stops_the_robot_is_never_left_for_later() -> None:
+    made = Recorder(settings=TELEOP)
+    made.command(0, (0.1, 0, 0), "teleop", "teleop", 2)
+    made.command(1, (nan, 0, 0))
+    made.tick(2)
+    (tick,) = made.incident().ticks
+    assert (tick.source, tick.commands) == ("cmd_vel", 2)
 
 
 def test_a_decision_of_another_version_is_shown_by_its_number() -> None:

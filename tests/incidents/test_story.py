@@ -273,6 +273,39 @@ def test_who_asked_for_a_stop_and_who_noticed_it_are_two() -> None:
     assert fact(made, "noticed") == "by the port owner; the program says it is failstop estop (pid 9)"
 
 
+def driven(since_ms: int) -> Recorder:
+    """A robot that teleop drives; at -40 ms nav sends too, right after it."""
+    made = Recorder(settings={"sources.teleop.priority": 90, "sources.teleop.timeout_s": 0.5, "scan.gate": "off"})
+    made.core.enable(7, "", at(-3000))
+    for ms in (since_ms, -40):
+        made.command(ms - 1, (0.2, 0.0, 0.0), "teleop (pid 5)", "teleop", 2)
+        if ms == -40:
+            made.command(ms, (0.1, 0.0, 0.0))
+        made.tick(ms)
+    made.tick(-20)
+    return made
+
+
+def test_the_driver_is_named_though_another_program_sent_the_newest_command() -> None:
+    made = driven(-420)
+    assert not made.incident().ticks[-1].drives
+    assert fact(made, "before").endswith("forward; teleop (pid 5) as teleop, command 41 ms old")
+
+
+@pytest.mark.parametrize(
+    ("ms", "said"),
+    [
+        (-420, "; teleop (pid 5) as teleop, command 421 ms old"),
+        (-620, "; not for nav (pid 77) as cmd_vel, which sent the newest command"),
+    ],
+)
+def test_the_driver_of_a_file_that_has_only_the_newest_command_of_each_tick(ms: int, said: str) -> None:
+    made = driven(ms)
+    ring = made.ring(layout.GATE, "box")
+    ring.entries = [entry for entry in ring.entries if entry[1] != at(-40)]
+    assert fact(made, "before").endswith(said)
+
+
 def test_since_when_the_wheels_stood() -> None:
     made = Recorder(causes.PIPED("somebody looked"))
     made.core.enable(7, "", at(-3000))

@@ -16,7 +16,7 @@ from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.kinematics import from_settings
-from failstop.policy.settings import Settings
+from failstop.policy.settings import FIRST_SOURCE, Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.rings import GateBox
 from failstop.procs.gate.sources import Command
@@ -50,7 +50,7 @@ class KeptRing:
 class Recorder:
     """Memory as a run leaves it; incident() or save() make a file of it."""
 
-    def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop") -> None:
+    def __init__(self, cause: Cause = GATE_DIED, kind: str = "stop", settings: dict[str, object] | None = None) -> None:
         self.why = cause
         self.kind = kind
         self.stop: dict[str, Any] | None = {"written_by": "port owner", "noticed_by": "port_owner", "written_us": 212.0}
@@ -58,15 +58,22 @@ class Recorder:
         self.rings: dict[tuple[str, str], KeptRing] = {}
         self.last_beats_ms: dict[str, float] = {}
         """The last beat of each process that is not there at the end."""
-        self.settings = Settings({"device.path": "/dev/pts/7"})
+        self.settings = Settings({"device.path": "/dev/pts/7", **(settings or {})})
         self.core = GateCore(self.settings, from_settings(self.settings), 0)
         self.gate = GateBox(self.ring(layout.GATE, "box"))  # type: ignore[arg-type]
 
     def ring(self, segment: str, name: str) -> KeptRing:
         return self.rings.setdefault((segment, name), KeptRing())
 
-    def command(self, ms: float, velocity: tuple[float, float, float], who: str = "nav (pid 77)") -> None:
-        command = Command(1, who, at(ms), velocity)
+    def command(
+        self,
+        ms: float,
+        velocity: tuple[float, float, float],
+        who: str = "nav (pid 77)",
+        source: str = FIRST_SOURCE,
+        session: int = 1,
+    ) -> None:
+        command = Command(session, who, at(ms), velocity, source=source)
         self.core.accept(command, at(ms))
         self.gate.command(command)
 

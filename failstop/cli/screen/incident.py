@@ -118,7 +118,7 @@ def _first_frame(incident: Incident) -> str:
 
 
 def _before(incident: Incident) -> str:
-    """Describe the last command before the cause. If nothing drove the robot, say for how long zero had been
+    """Describe the last command that drove before the cause. If nothing drove the robot, say for how long zero had been
     commanded."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
@@ -127,7 +127,10 @@ def _before(incident: Incident) -> str:
     if last.block == DRIVING:
         age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
         how = words.velocity(*last.velocity) or "zero"
-        return f"driving, {how}; {last.who} as {last.source}, command {age_ms:.0f} ms old"
+        if (driver := incident.driver(last)) is None:
+            return f"driving, {how}; not for {last.who} as {last.source}, which sent the newest command"
+        age_ms = (driver.age_us or 0) / 1e3 + (incident.cause_ns - driver.ns) / 1e6
+        return f"driving, {how}; {driver.who} as {driver.source}, command {age_ms:.0f} ms old"
     driven = [tick.ns for tick in ticks if tick.block == DRIVING]
     least = "" if driven else "at least "
     stood_s = (incident.cause_ns - (driven[-1] if driven else ticks[0].ns)) / 1e9
