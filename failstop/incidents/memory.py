@@ -17,7 +17,7 @@ from failstop.api.words import took
 from failstop.messages import box, layout, records
 from failstop.messages import segments as shared
 from failstop.policy import causes
-from failstop.policy.proofs import heard_late
+from failstop.policy.proofs import LINK_UNASKED, NO_IMU, NOT_SENT, TO_A_STRANGER, UNMOVED, heard_late
 from failstop.policy.proofs import still_or_unseen as seen_after
 from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
@@ -37,7 +37,7 @@ OUTLIVED_NS = 60_000_000
 beat by more than this, the process has outlived the supervisor."""
 NOT_KNOWN = "not known"
 _LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by")
-PROOF_WORDS = ("noticed_by", "written_by", "written_us", *_LATER)
+PROOF_WORDS = ("noticed_by", "written_by", "written_us", "sent", "believed", *_LATER)
 _WORD = struct.Struct("<Q")
 
 
@@ -128,7 +128,8 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
 
 def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
     """The supervisor's record of the stop whose cause was noticed at `cause_ns`: a map with PROOF_WORDS and `wheels`
-    (still, unstill or unknown). None if nothing was recorded.
+    (still, unstill or unknown). If the outcome of the stop was logged, the map also has the `link` to the board at that
+    time. None if nothing was recorded.
 
     The supervisor's record of the last stop (supervisor/proof.py) may be about a later stop. Its events `stop` and
     `stop_outcome` name their stop.
@@ -146,7 +147,7 @@ def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
             told = {key: fields.get(key) for key in ("noticed_by", "written_by")}
             found = told | {"written_us": fields.get("latency_us")} | found
         elif event.get("kind") == "stop_outcome":
-            found |= {key: fields[key] for key in (*_LATER, "wheels") if key in fields}
+            found |= {key: fields[key] for key in (*_LATER, "sent", "wheels", "link") if key in fields}
     return dict.fromkeys(PROOF_WORDS) | {"wheels": "unknown"} | found if found else None
 
 
@@ -163,6 +164,7 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
     """The three levels of proof from an incident's head, each as (text, True if proven). The second value is None if
     this is not known, for example if the wheels were not seen moving before the stop."""
     stop: dict[str, Any] = head["stop"] or {}
+    outcome = stop.get("link")
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
     found: list[tuple[str, bool | None]] = [
         (f"whether a stop was written: {NOT_KNOWN}", None),
@@ -170,17 +172,26 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
         (f"whether the wheels stopped: {NOT_KNOWN}", None),
     ]
     if written_us is not None:
-        found[0] = f"written after {took(written_us / 1e6)}", True
+        # Old files lack `sent` and `believed`. None or no value means that nothing speaks against the stop.
+        sent, believed = (stop.get(level) is not False or heard_us is not None for level in ("sent", "believed"))
+        written = f"written after {took(written_us / 1e6)}{'' if believed else f' {TO_A_STRANGER}'}"
+        found[0] = written if sent else NOT_SENT, sent and believed
     elif stop:
         found[0] = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False
     late = heard_late(head.get("cause", {}).get("process"))
     if heard_us is not None:
         found[1] = f"acknowledged after {took(heard_us / 1e6)}{late}", True
+    elif stop.get("acknowledged_by") == "":
+        found[1] = "this board never acknowledges a stop", None
+    elif outcome and stop.get("acknowledged_by"):
+        found[1] = (UNMOVED, None) if outcome == LINK_UNASKED else ("NOT acknowledged", False)
     if seen_ms is not None:
         # This must be short enough for a line of 80 columns.
         seen = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU")
         found[2] = f"{seen}{late}" if seen_ms else seen, True if seen_ms else None
-    elif stop.get("wheels") == "unstill":
+    elif stop.get("observed_by") == "":
+        found[2] = NO_IMU, None
+    elif stop.get("wheels") == "unstill" or (outcome and stop.get("observed_by")):
         found[2] = "wheels NOT seen still", False
     return found
 

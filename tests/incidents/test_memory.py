@@ -18,6 +18,7 @@ from failstop.incidents.memory import logged_stop
 from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.proofs import UNMOVED
 from failstop.shm import segment
 from failstop.shm.cell import cell_bytes
 
@@ -222,6 +223,43 @@ def test_what_was_told_of_it_outlasts_the_record() -> None:
     assert found is not None
     assert found["written_us"] is None
     assert proof(found) == f"NOT written within 2.2 s, {UNKNOWN}, wheels NOT seen still"
+
+
+WRITTEN = {"written_us": 82.0, "acknowledged_by": "answer", "observed_by": "IMU"}
+ACKNOWLEDGED = {"acknowledged_us": 4400.0}
+NO_SENDER = "NOT sent: the board accepts no bytes"
+STRANGER = "written after 82 us to a device that has not answered as the board does"
+
+
+@pytest.mark.parametrize(
+    ("stop", "level", "said"),
+    [
+        ({"sent": False}, 0, (NO_SENDER, False)),
+        ({"sent": False, "believed": False}, 0, (NO_SENDER, False)),
+        ({"believed": False}, 0, (STRANGER, False)),
+        ({"sent": False, "believed": False} | ACKNOWLEDGED, 0, ("written after 82 us", True)),
+        ({"sent": None, "believed": None}, 0, ("written after 82 us", True)),
+        ({}, 1, (UNKNOWN, None)),
+        ({"link": "deaf"}, 1, ("NOT acknowledged", False)),
+        ({"link": "unasked"}, 1, (UNMOVED, None)),
+        ({"link": "unasked", "acknowledged_by": ""}, 1, ("this board never acknowledges a stop", None)),
+        ({"link": "alive"} | ACKNOWLEDGED, 1, ("acknowledged after 4.40 ms", True)),
+        ({}, 2, ("whether the wheels stopped: not known", None)),
+        ({"link": "alive"}, 2, ("wheels NOT seen still", False)),
+        ({"link": "alive", "observed_by": ""}, 2, ("not observed: the robot has no IMU", None)),
+    ],
+)
+def test_what_is_not_proven_is_not_shown_as_proven(stop: dict[str, Any], level: int, said: tuple[str, object]) -> None:
+    """As why() says it of a stop (failstop/api/why.py)."""
+    assert memory.proofs({"t": 100.0, "saved": 102.2, "stop": WRITTEN | stop})[level] == said
+
+
+def test_a_stop_that_was_not_sent_is_saved_as_such() -> None:
+    held = {**RECORD, "sent": False, "believed": True, "acknowledged_us": None, "observed_ms": None}
+    assert proof(known(msgpack.packb(held), [], T)).startswith(NO_SENDER)
+    stop = event("stop", **NAMED, noticed_by="port_owner", written_by="port_owner", latency_us=82.0)
+    outcome = event("stop_outcome", **NAMED, sent=False, link="deaf", acknowledged_by="answer", wheels="unknown")
+    assert proof(known(None, [stop, outcome], T)).startswith(f"{NO_SENDER}, NOT acknowledged, ")
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xc1", b"\x01", msgpack.packb({"kind": "stop", "fields": 3})])

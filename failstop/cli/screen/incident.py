@@ -88,7 +88,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     if clock:
         rows.insert(2, ("clock", clock, WARN))
     first, *rest = memory.proofs(head)
-    rows.append(("proof", f"{first[0]}{_first_frame(incident)}", PROOFS[first[1]]))
+    rows.append(("proof", f"{first[0]}{_first_frame(incident) if first[1] else ''}", PROOFS[first[1]]))
     rows += [("", said, PROOFS[proven]) for said, proven in rest]
     if incident.left:
         rows.append(
@@ -125,7 +125,6 @@ def _before(incident: Incident) -> str:
         return memory.NOT_KNOWN
     last = ticks[-1]
     if last.block == DRIVING:
-        age_ms = (last.age_us or 0) / 1e3 + (incident.cause_ns - last.ns) / 1e6
         how = words.velocity(*last.velocity) or "zero"
         if (driver := incident.driver(last)) is None:
             return f"driving, {how}; not for {last.who} as {last.source}, which sent the newest command"
