@@ -27,9 +27,6 @@ START_NS = 150_000_000
 processor core. During that time the supervisor can't renew the lease for motion, so the saver starts before a person
 can have reset the stop and enabled motion again. If the saver started at once, it could delay the repeats of the stop.
 After START_NS, most boards have had all repeats."""
-COPY_NS = 2_200_000_000
-"""How long after a stop the saver copies the rings. With the default settings, nothing more becomes known about a stop
-after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
 """If an earlier run has died, a saver waits until the current run is ready, and then saves what the earlier run has
 left. This is the longest time that the saver waits."""
@@ -58,6 +55,7 @@ class BlackBox:
         self._run, self._moves = run, moves
         self._events = run.events
         self._on = run.settings.on("incidents.save")
+        self._copy_ns = box.copy_ns(run.settings.ns("still.after_s"))
         keep, max_mb = int(run.settings["incidents.keep"]), int(run.settings["incidents.max_mb"])
         self._words = {"name": run.name, "keep": keep, "max_mb": max_mb}
         self._environment = environment(run.settings)
@@ -85,7 +83,7 @@ class BlackBox:
             self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
         elif self._on:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
-            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
+            self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + self._copy_ns}))
 
     def poll(self, now_ns: int, *, ready: bool) -> None:
         """Sample the heartbeats, start the savers that are due and reap those that have ended. Call this at the end of

@@ -33,6 +33,14 @@ BEATS_CELLS = 768
 """How many entries the ring of the processes' heartbeats holds. The supervisor adds 10 entries per second, and one more
 at each stop."""
 
+COPY_NS = 2_200_000_000
+"""How long after a stop the rings are copied, at the earliest. With the default settings, nothing more becomes known
+about a stop after 2.0 s (supervisor/proof.py)."""
+JUDGED_NS = 700_000_000
+"""How long after the end of still.after_s the rings are copied. By then, the verdict about the wheels is logged."""
+LONGEST_COPY_NS = 15_000_000_000
+"""How long after a stop the rings are copied, at the latest. A later copy would lose too much from before the stop."""
+
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
@@ -91,6 +99,11 @@ BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
 _AIM = struct.Struct("<Bf")
+
+
+def copy_ns(still_after_ns: int) -> int:
+    """How long after a stop the rings are copied, ns. `still_after_ns`: the setting still.after_s."""
+    return min(max(COPY_NS, still_after_ns + JUDGED_NS), LONGEST_COPY_NS)
 
 
 def single(value: float) -> float:

@@ -10,7 +10,6 @@ import pytest
 
 from failstop.messages import box, layout
 from failstop.supervisor.blackbox import (
-    COPY_NS,
     FINISH_S,
     GIVE_UP_NS,
     MOST_SAVERS,
@@ -127,10 +126,19 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     given = words(saver)
     listed = ",".join(f"{process}:{fd}" for process, fd in scene.run.readable.items())
     expected = {"name": "stage", "keep": "7", "max_mb": "8", "fds": listed, "cause": CAUSE.pack().hex()}
-    assert given.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + COPY_NS)}.items()
+    assert given.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + box.COPY_NS)}.items()
     assert saver.argv[0].endswith("/incidents/saver.py")
     assert saver.environ == scene.load("failstop.supervisor.starter").environment(scene.settings)
     assert set(saver.files) == {0, 1, 2, int(given["hurry"]), *scene.run.readable.values()}
+
+
+@pytest.mark.parametrize(("after_s", "copied_s"), [(0.2, 2.2), (1.5, 2.2), (3.0, 3.7), (60.0, 15.0)])
+def test_the_saver_copies_once_the_verdict_about_the_wheels_is_known(after_s: float, copied_s: float) -> None:
+    scene = Scene(settings={"still.after_s": after_s})
+    scene.machine.programs["saver.py"] = scene.wait
+    latched(scene, 7)
+    follow(scene, T0 + START_NS)
+    assert [int(given["until_ns"]) for given in savers(scene)] == [T0 + round(copied_s * 1e9)]
 
 
 def test_the_black_box_starts_few_savers_at_one_time_and_the_rest_as_these_end(scene: Scene) -> None:

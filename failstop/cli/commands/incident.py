@@ -18,6 +18,7 @@ from failstop.cli.style import PLAIN, Line, record, show, width
 from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
 from failstop.incidents.left import left
+from failstop.messages import box
 
 EXAMPLES = """\
 failstop incident list
@@ -34,9 +35,10 @@ WHICH = (
     "path of its file, or `last` (default)"
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
-SAVED_S = 3.0
-"""The latest time after a stop at which its incident file is expected, in seconds. The service saves the file 2.4 s
-after the stop."""
+SAVED_S = 0.8
+"""The latest time after the copy of the rings at which an incident file is expected, in seconds. Usually it is there
+after 0.2 s."""
+NOT_SAVED = 'incidents.save is "off"'
 TOGETHER_NS = 500_000_000
 """A stop that comes less than this time after the cause of a saved incident, in ns, belongs to the same incident, so it
 has no file of its own."""
@@ -128,7 +130,7 @@ def _meant(arguments: Namespace) -> str:
     wanted = " ".join(arguments.id)
     if wanted != files.LAST:
         return files.find(wanted, arguments.name, os.environ)
-    while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
+    while (stop := unsaved(arguments.name)) and time.monotonic_ns() < _due_ns(arguments.name, stop):
         time.sleep(0.1)
     newer = _newer(arguments.name, stop)
     try:
@@ -140,6 +142,15 @@ def _meant(arguments: Namespace) -> str:
     if newer:
         standard.say(f"{newer}; this incident is from before that")
     return path
+
+
+def _due_ns(name: str, stop: Stop) -> int:
+    """Return the latest time at which the file of this stop is expected (CLOCK_MONOTONIC). 0 if no file will come."""
+    try:
+        after_s = float(StateReader(name).settings()["still.after_s"])
+    except FailstopError:
+        return 0
+    return 0 if failed(name, stop) else stop.noticed_ns + box.copy_ns(round(after_s * 1e9)) + round(SAVED_S * 1e9)
 
 
 def _newer(name: str, stop: Stop | None) -> str:
