@@ -92,6 +92,27 @@ def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: A
     assert errors == "failstop: the last stop (gate died) is not saved yet; this incident is from before that\n"
 
 
+def test_a_long_still_after_s_is_waited_for() -> None:
+    service = Simulated(settings={"still.after_s": 4.0})
+    replace(service, "gate")
+    saved(service, -30.0)
+    began_ns = service.now_ns()
+    assert service.command("incident", "show")[0] == 0
+    assert service.now_ns() - began_ns == pytest.approx(5.5 * NS, abs=NS // 10)
+
+
+def test_where_nothing_is_saved_nothing_is_waited_for() -> None:
+    service = Simulated(settings={"incidents.save": "off"})
+    replace(service, "gate")
+    saved(service, -30.0)
+    began_ns = service.now_ns()
+    code, printed, errors = service.command("incident", "show")
+    assert service.now_ns() - began_ns < NS // 10
+    assert (code, printed[:9]) == (0, "Incident ")
+    said = 'the last stop (gate died) was not saved: incidents.save is "off"; this incident is from before that'
+    assert errors == f"failstop: {said}\n"
+
+
 def kill_driver(service: Simulated) -> Process:
     """A driver that is killed while the wheels turn; motion is disabled for that, and nothing is latched."""
 

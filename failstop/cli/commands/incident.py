@@ -195,8 +195,10 @@ def unsaved(name: str) -> Stop | None:
 
 
 def failed(name: str, stop: Stop) -> str:
-    """Return the reason why the service could not save the incident of its last stop. Empty if no failure is known."""
+    """Return the reason why the service did not save the incident of its last stop. Empty if no reason is known."""
     try:
+        if StateReader(name).settings()["incidents.save"] == "off":
+            return NOT_SAVED
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:
         return ""
