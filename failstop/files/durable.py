@@ -55,6 +55,13 @@ def open_own(path: str, flags: int = os.O_RDONLY) -> int:
     return fd
 
 
+def check_replaceable(path: str) -> None:
+    """Raise OSError if something at this path is not a regular file, for example a device or a link. A rename would
+    replace it by a file."""
+    with contextlib.suppress(FileNotFoundError):
+        _check_regular(os.lstat(path), path)
+
+
 def _check_regular(found: os.stat_result, path: str) -> None:
     if not stat.S_ISREG(found.st_mode):
         what = FILE_TYPES.get(stat.S_IFMT(found.st_mode), "something else")
@@ -69,16 +76,23 @@ def write_draft(draft: str, data: bytes, like: str = "") -> None:
     0644 if the file does not exist. If this process may not give files away, the draft stays its own."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(draft)
+    write_new(draft, data, like)
+
+
+def write_new(path: str, data: bytes, like: str = "") -> None:
+    """Write a file that does not exist yet, and sync it to the disk. If that fails, the file is removed. `like`: as for
+    write_draft(). Raises OSError, and FileExistsError if something with this name exists."""
+    # Never write through a link, because this process may have more rights than the folder's owner.
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     try:
-        # Never write through a link, because this process may have more rights than the folder's owner.
-        with open(draft, "xb", opener=lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o644)) as file:
+        with open(fd, "wb") as file:
             if like:
-                _resemble(file.fileno(), like)
+                _resemble(fd, like)
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            os.fsync(fd)
     except OSError:
-        _drop(draft)
+        _drop(path)
         raise
 
 

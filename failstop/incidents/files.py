@@ -19,7 +19,7 @@ import heapq
 import os
 import struct
 import zlib
-from itertools import pairwise
+from itertools import count, pairwise
 
 import msgpack
 
@@ -62,7 +62,7 @@ def as_written(path: str) -> Iterator[None]:
     path."""
     try:
         yield
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, OSError) as error:
+    except _UNEXPECTED as error:
         raise IncidentError(f"{path} is no incident as failstop writes them ({error!r})") from None
 
 
@@ -180,11 +180,11 @@ def _numbers(folder: str) -> set[int]:
 
 
 def write_as(path: str, data: bytes) -> None:
-    """Write a file to a path that a person has chosen, completely or not at all. Raises IncidentError."""
-    draft = f"{path}.part"
+    """Write a file to a path that a person has chosen, completely or not at all. An existing file is replaced, but not
+    a device or a link. Raises IncidentError."""
     try:
-        durable.write_draft(draft, data)
-        durable.publish(draft, path)
+        durable.check_replaceable(path)
+        durable.publish(_written(path, data), path)
     except OSError as error:
         raise IncidentError(f"{path} can't be written: {error.strerror}") from None
 
@@ -196,6 +196,16 @@ def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str
         with open(durable.open_regular(path), "rb") as file:
             start = file.read(START_BYTES)
             if len(start) < START_BYTES or not start.startswith(MAGIC):
+def _written(path: str, data: bytes) -> str:
+    """Write a draft of the file `path` beside it, and return the draft's path. Raises OSError."""
+    for number in count():
+        draft = f"{path}.part{number or ''}"
+        with contextlib.suppress(FileExistsError):  # somebody else's file
+            durable.write_new(draft, data)
+            break
+    return draft
+
+
                 raise IncidentError(f"{path} is not an incident file of failstop, or its beginning is missing")
             form, _, head_length, head_crc, body_length, body_crc = _LENGTHS.unpack(start[len(MAGIC) :])
             if form != FORMAT:

@@ -80,7 +80,22 @@ def test_what_a_person_writes_goes_through_no_link(tmp_path: Path) -> None:
     (tmp_path / "a.png.part").symlink_to(victim)
     files.write_as(str(tmp_path / "a.png"), b"picture")
     assert (victim.read_text(), (tmp_path / "a.png").read_bytes()) == ("precious\n", b"picture")
-    assert sorted(os.listdir(tmp_path)) == ["a.png", "victim"]
+    assert sorted(os.listdir(tmp_path)) == ["a.png", "a.png.part", "victim"], "and another's file stays"
+
+
+def test_what_a_person_writes_replaces_a_file_but_neither_a_link_nor_a_device(tmp_path: Path) -> None:
+    (file := tmp_path / "a.json").write_text("old")
+    (link := tmp_path / "link.json").symlink_to(file)
+    os.mkfifo(pipe := tmp_path / "pipe")
+    for path, what in ((link, "a link"), (pipe, "a FIFO"), (tmp_path, "a directory")):
+        with pytest.raises(IncidentError, match=f"{path} can't be written: {what}, not a regular file"):
+            files.write_as(str(path), b"new")
+    with pytest.raises(IncidentError, match="/dev/null can't be written: a device, not a regular file"):
+        files.write_as("/dev/null", b"new")
+    assert file.read_text() == "old"
+    files.write_as(str(file), b"new")
+    assert file.read_text() == "new"
+    assert sorted(os.listdir(tmp_path)) == ["a.json", "link.json", "pipe"]
 
 
 def test_records_that_make_no_sense_are_left_out_and_counted() -> None:
