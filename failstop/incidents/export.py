@@ -52,6 +52,10 @@ FIELDS = {
 """The fields of each message type."""
 LOG_LEVELS = {"info": 20, "notice": 20, "warning": 30, "error": 40, "critical": 50}
 
+END_OF_TIME_NS = 2**31 * 1_000_000_000
+"""The end of the times that a message of ROS 2 can have, as Unix time in ns: the year 2038."""
+CLOCK = "this computer's clock was wrong, and a message of ROS 2 can only have a time from 1970 to 2038"
+
 Message = tuple[int, str, dict[str, Any]]
 """(time in CLOCK_MONOTONIC ns, topic, fields). The header, and fields that are zero, are left out."""
 
@@ -66,12 +70,15 @@ def save(incident: Incident, path: str) -> int:
     if not path.endswith(SUFFIX):
         raise IncidentError(f"{path}: the name must end in {SUFFIX}")
     found = sorted((*_motion(incident), *_board(incident), *_events(incident)), key=lambda message: message[0])
+    offset_ns: int = incident.head["unix_minus_monotonic_ns"]
+    if found and not 0 <= found[0][0] + offset_ns <= found[-1][0] + offset_ns < END_OF_TIME_NS:
+        raise IncidentError(f"{incident.id} can't be exported: {CLOCK}")
     made = BytesIO()
     writer: Any = Writer(made)
     kinds = dict.fromkeys(TOPICS.values())
     schemas = {name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name)) for name in kinds}
     for ns, topic, value in found:
-        at_ns: int = ns + incident.head["unix_minus_monotonic_ns"]
+        at_ns = ns + offset_ns
         stamp = dict(zip(("sec", "nanosec"), divmod(at_ns, 1_000_000_000), strict=True))
         whole = {"stamp": stamp, "header": {"stamp": stamp, "frame_id": FRAME}, **value}
         writer.write_message(f"/failstop/{topic}", schemas[TOPICS[topic]], whole, at_ns, at_ns)

@@ -52,6 +52,13 @@ MOST_NAMED = 3
 """How many incidents an error message names."""
 
 
+_UNEXPECTED = (
+    *(LookupError, TypeError, ValueError, AttributeError, ArithmeticError),
+    *(RecursionError, OSError, struct.error),
+)
+"""What code raises if a file has values that failstop does not write."""
+
+
 class IncidentError(FailstopError):
     """An incident can't be found, read or written. The message says what is wrong."""
 
@@ -189,13 +196,6 @@ def write_as(path: str, data: bytes) -> None:
         raise IncidentError(f"{path} can't be written: {error.strerror}") from None
 
 
-def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read a file. Returns (head, body). Without `with_body` the body is {}, and is neither read nor checked. Raises
-    IncidentError."""
-    try:
-        with open(durable.open_regular(path), "rb") as file:
-            start = file.read(START_BYTES)
-            if len(start) < START_BYTES or not start.startswith(MAGIC):
 def _written(path: str, data: bytes) -> str:
     """Write a draft of the file `path` beside it, and return the draft's path. Raises OSError."""
     for number in count():
@@ -206,6 +206,13 @@ def _written(path: str, data: bytes) -> str:
     return draft
 
 
+def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read a file. Returns (head, body). Without `with_body` the body is {}, and is neither read nor checked. Raises
+    IncidentError."""
+    try:
+        with open(durable.open_regular(path), "rb") as file:
+            start = file.read(START_BYTES)
+            if len(start) < START_BYTES or not start.startswith(MAGIC):
                 raise IncidentError(f"{path} is not an incident file of failstop, or its beginning is missing")
             form, _, head_length, head_crc, body_length, body_crc = _LENGTHS.unpack(start[len(MAGIC) :])
             if form != FORMAT:

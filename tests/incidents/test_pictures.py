@@ -157,6 +157,16 @@ def test_an_export_that_fails_leaves_nothing(incident: Incident, tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
+@pytest.mark.parametrize("unix_s", [-(10**9), 2**31 + 10**6])
+def test_an_export_of_a_time_that_ros_2_does_not_know_is_refused(tmp_path: Path, unix_s: int) -> None:
+    pytest.importorskip("mcap_ros2.writer")
+    made = drive_and_die()
+    incident = Incident("odd", made.head(unix_ns=unix_s * 10**9), made.body())
+    with pytest.raises(IncidentError, match="odd can't be exported: this computer's clock was wrong"):
+        export.save(incident, str(tmp_path / "a.mcap"))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_where_the_gate_was_silent_the_picture_says_so_and_draws_no_decision() -> None:
     made = Recorder(causes.HANGS("gate", 360))
     made.core.enable(7, "", at(-1000))
