@@ -149,8 +149,9 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Log why motion can't be enabled, if the reason has been the same for WAITED_NS. Later, log that motion can be
-        enabled again. `missing`: the reason, or an empty text if motion can be enabled. Call this once per turn."""
+        """Log why motion can't be enabled, if the reason has been the same for WAITED_NS. Later, log that the reason is
+        gone, and that motion can be enabled again if no stop is latched. `missing`: the reason, or an empty text if
+        motion can be enabled. Call this once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -160,7 +161,9 @@ class Status:
             text, step = f"waiting for {missing}: motion can't be enabled", self._run.events.command("status")
             self._run.events.log("waiting", text, {"for": missing}, step=step)
         elif not missing:
-            self._run.events.log("ready", f"{self._logged_missing} is there now: motion can be enabled again")
+            # While a stop is latched, it must be reset first.
+            may = "" if self._epochs.latch.stop else ": motion can be enabled again"
+            self._run.events.log("ready", f"{self._logged_missing} is there now{may}")
             self._logged_missing = ""
 
     def notify_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:

@@ -235,3 +235,11 @@ def test_each_long_wait_and_its_end_are_told(scene: Scene, status: Any) -> None:
     text = " is ready: it has told the wheels to stop, and motion is disabled; next: `failstop enable --name stage`"
     assert found[0][1].endswith(text)
     assert found[3][1] == "gate, the port is there now: motion can be enabled again"
+
+
+def test_the_end_of_a_long_wait_promises_no_motion_while_a_stop_is_latched(scene: Scene, status: Any) -> None:
+    assert status.publish("")
+    scene.supervisor.epochs.latch.add([made(scene, Stop(T0, layout.PORT_OWNER, causes.DEVICE_LOST()))], 2, T0)
+    for at, missing in enumerate(("the port", "the port", "")):
+        status.log_waiting(missing, T0 + at * WAITED_NS)
+    assert told(scene)[-1][:2] == ("ready", "the port is there now")
