@@ -13,6 +13,9 @@ from failstop.api.why import Why
 from failstop.incidents import memory
 from failstop.messages import layout, records, segments
 
+SAVED_LATER = "its last minute is still in memory, and is saved as an incident when the service is started again"
+NOT_SAVED = 'its last minute is still in memory, but is not saved, because incidents.save is "off"'
+
 
 def left(name: str) -> tuple[Why, list[Event]] | None:
     """Explain why the wheels are stopped, from the memory of a run that did not end cleanly. Returns the answer and the
@@ -47,7 +50,8 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
         what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
-    also = ("its last minute is still in memory, and is saved as an incident when the service is started again",)
+    settings = memory.as_map(supervisor["latest"].get("settings", (0, 0, b""))[2])
+    also = (NOT_SAVED if settings.get("incidents.save") == "off" else SAVED_LATER,)
     return Why(what, proof, tuple(steps), also, ended_s), [
         event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
     ]

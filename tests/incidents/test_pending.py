@@ -113,6 +113,25 @@ def test_where_nothing_is_saved_nothing_is_waited_for() -> None:
     assert errors == f"failstop: {said}\n"
 
 
+@pytest.mark.parametrize(
+    ("save", "said"),
+    [
+        ("on", "and is saved as an incident when the service is started again"),
+        ("off", 'but is not saved, because incidents.save is "off"'),
+    ],
+)
+def test_a_run_that_died_is_named_before_an_older_incident_is_shown(save: str, said: str) -> None:
+    service = Simulated(settings={"incidents.save": save})
+    replace(service, "gate")
+    saved(service, 0.002)
+    service.die("supervisor")
+    service.wait(1.0)
+    code, printed, errors = service.command("incident", "show")
+    assert (code, printed[:9]) == (0, "Incident ")
+    died = f"the last run died: its last minute is still in memory, {said}; this incident is from before that"
+    assert " ".join(errors.split()) == f"failstop: {died}"
+
+
 def kill_driver(service: Simulated) -> Process:
     """A driver that is killed while the wheels turn; motion is disabled for that, and nothing is latched."""
 

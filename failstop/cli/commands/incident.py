@@ -159,8 +159,8 @@ def _newer(name: str, stop: Stop | None) -> str:
     if stop:
         why = failed(name, stop)
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
-    if left(name):
-        return "how the last run ended is saved only when the service is started again"
+    if gone := left(name):
+        return f"the last run died: {'; '.join(gone[0].also)}"
     return unlatched(name)
 
 
