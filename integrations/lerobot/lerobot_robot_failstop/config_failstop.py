@@ -9,6 +9,7 @@ from lerobot.robots.lekiwi import LeKiwiConfig
 
 from lerobot_robot_failstop.keys import KEYS
 
+DEFAULT_SERVICE = "failstop"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 """The names of LeKiwi's joints, in the order of their servos. LeRobot puts `arm_` in front of these names."""
 WORDS = {"after_stop": ("raise", "wait"), "at_end": ("hold", "park", "release")}
@@ -19,7 +20,7 @@ WORDS = {"after_stop": ("raise", "wait"), "at_end": ("hold", "park", "release")}
 class FailstopConfig(RobotConfig):  # type: ignore[misc]
     """Options of the robot: which service drives it, and what happens at the beginning and the end of a run."""
 
-    service: str = "failstop"
+    service: str = DEFAULT_SERVICE
     """The name of the failstop service on this computer."""
     joints: dict[str, str] = field(default_factory=lambda: {name: name for name in JOINTS})
     """For each of LeKiwi's joints, its name in failstop's settings ([joints.NAME]). Empty for a base without an arm."""
@@ -34,8 +35,8 @@ class FailstopConfig(RobotConfig):  # type: ignore[misc]
     """What happens after a latched stop. With `raise`, RobotStopped ends the run. With `wait`, actions have no effect
     until the stop is reset."""
     at_end: str = "hold"
-    """What disconnect() does with the arm: hold it; park it, which moves it to the tuck pose and then switches its
-    torque off; or release it at once."""
+    """What disconnect() does with the arm when the run ends normally: hold it; park it, which moves it to the tuck pose
+    and then switches its torque off; or release it at once. After an exception the arm is held."""
     use_degrees: bool = LeKiwiConfig.use_degrees
     """Use degrees for the joints instead of -100 to 100. The gripper is always 0 to 100. The default is that of LeKiwi
     in the installed LeRobot (degrees since 0.6.0), because datasets and policies don't record their unit."""

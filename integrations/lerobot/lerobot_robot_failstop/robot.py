@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
 from collections.abc import Callable, Collection
 from functools import cached_property
 from typing import Any
@@ -21,7 +22,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from failstop import Block, Blocked, Driving, FailstopError, Preempted, Refused, State
 from failstop import Robot as Service
 from lerobot_robot_failstop import keys
-from lerobot_robot_failstop.config_failstop import FailstopConfig
+from lerobot_robot_failstop.config_failstop import DEFAULT_SERVICE, FailstopConfig
 from lerobot_robot_failstop.units import Reach, Scale, Unit, base_numbers, base_velocity
 
 CALIBRATED_AS = "lekiwi"
@@ -157,8 +158,13 @@ class Failstop(Robot):  # type: ignore[misc]
             except Refused as error:
                 raise DeviceNotConnectedError(
                     f"{self}: where the arm is was not read yet, and can't be now: {error}; connect again with motion"
-                    " disabled and no stop latched (`failstop why`)"
+                    f" disabled and no stop latched ({self._command('why')})"
                 ) from error
+
+    def _command(self, verb: str) -> str:
+        """Return the failstop command for this robot's service, in backquotes."""
+        name = self.config.service
+        return f"`failstop {verb}`" if name == DEFAULT_SERVICE else f"`failstop {verb} --name {name}`"
 
     def _connected(self) -> Service:
         if self._service is None:
@@ -190,7 +196,9 @@ class Failstop(Robot):  # type: ignore[misc]
             fresh = joint is not None and joint.age_s is not None and joint.age_s <= FRESH_S
             angle = None if joint is None else joint.angle_rad if fresh else joint.at_rad
             if angle is None:
-                raise DeviceNotConnectedError(f"{self}: where arm_{name} is was not read yet; `failstop arm` reads it")
+                raise DeviceNotConnectedError(
+                    f"{self}: where arm_{name} is was not read yet; {self._command('arm')} reads it"
+                )
             found.append((name, scale, angle))
         return found
 
@@ -234,7 +242,8 @@ class Failstop(Robot):  # type: ignore[misc]
         if why != self._told[part]:
             self._told[part] = why
             if why:
-                logger.warning("the %s stand%s still: %s (`failstop why`)", part, "" if part == "wheels" else "s", why)
+                ending = "" if part == "wheels" else "s"
+                logger.warning("the %s stand%s still: %s (%s)", part, ending, why, self._command("why"))
 
     def stop_base(self) -> None:
         """Stop the wheels, as LeKiwi's host does when it receives nothing."""
@@ -253,18 +262,34 @@ class Failstop(Robot):  # type: ignore[misc]
 
     def disconnect(self) -> None:
         """Disconnect from the service. The wheels stop, and motion is disabled if this robot enabled it. The option
-        `at_end` says whether the arm is held, parked or released."""
+        `at_end` says whether the arm is held, parked or released. While an exception is handled, which is so in a
+        `finally` that it passes through, the program counts as crashed: motion is disabled if it has driven, and the
+        arm is held. KeyboardInterrupt and SystemExit are clean ends."""
+        self._connected()
+        self._leave(sys.exc_info()[1])
+
+    def __del__(self) -> None:
+        """Leave as a program that has crashed. LeRobot's own `__del__` calls disconnect(), which would be a clean
+        end."""
+        with contextlib.suppress(Exception):
+            if self.is_connected:
+                self._leave(RuntimeError("freed without disconnect()"))
+
+    def _leave(self, error: BaseException | None) -> None:
+        """Disconnect from the service. `error`: why the program ends. If it is an Exception, the program has
+        crashed."""
         service = self._connected()
         ends: dict[str, Callable[[], None]] = {"park": self.park, "release": self.release}
         try:
-            if self._scales and (end := ends.get(self.config.at_end)):
+            if self._scales and not isinstance(error, Exception) and (end := ends.get(self.config.at_end)):
                 self._end(service, end)
         finally:
             self._service = None
             with contextlib.ExitStack() as rest:
-                rest.callback(service.close)
                 for camera in self.cameras.values():
                     rest.callback(camera.disconnect)
+                # Added last, so it runs first: the wheels must not wait for a camera that blocks.
+                rest.callback(service.__exit__, type(error), error, None)
 
     def _end(self, service: Service, end: Callable[[], None]) -> None:
         try:

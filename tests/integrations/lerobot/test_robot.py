@@ -144,6 +144,87 @@ def test_the_arm_at_the_end_of_a_run(trial: ArmTrial, make: Any, at_end: str, li
         assert near(trial, {"shoulder_lift": 963, "elbow_flex": 46})
 
 
+def in_a_finally(robot: Failstop, error: BaseException) -> None:
+    """As lerobot_teleoperate, lerobot_record and lekiwi_host end."""
+    try:
+        raise error
+    finally:
+        robot.disconnect()
+
+
+def by_with(robot: Failstop, error: BaseException) -> None:
+    robot.disconnect()
+    with robot:
+        robot.send_action(STILL)
+        raise error
+
+
+@pytest.mark.parametrize("end", [in_a_finally, by_with])
+@pytest.mark.parametrize(("error", "died"), [(RuntimeError, True), (KeyboardInterrupt, False), (SystemExit, False)])
+def test_a_run_that_an_exception_ends_is_a_crash(
+    trial: ArmTrial, make: Any, end: Any, error: type[BaseException], died: bool
+) -> None:
+    """Somebody else has enabled motion, and a program that is started again commands at once."""
+    robot = make()
+    robot.connect()
+    robot.send_action(STILL)
+    trial.robot.enable()
+    with pytest.raises(error):
+        end(robot, error("out of memory"))
+    wait_for("the slot to be free", lambda: not [one for one in trial.robot.state.clients if one.name == "lerobot"])
+    assert trial.robot.state.enabled is not died
+
+
+@pytest.mark.parametrize(("error", "released"), [(RuntimeError, False), (KeyboardInterrupt, True)])
+def test_the_arm_is_let_go_only_where_the_run_ends_normally(
+    trial: ArmTrial, make: Any, error: type[BaseException], released: bool
+) -> None:
+    robot = make(at_end="release")
+    robot.connect()
+    action = {f"arm_{name}.pos": 20.0 for name in JOINTS}
+    until(lambda: robot.send_action(action) and not trial.board.limp())
+    with pytest.raises(error):
+        in_a_finally(robot, error("out of memory"))
+    trial.robot.arm.read()  # after whatever else the servos were told
+    assert len(trial.board.limp()) == (6 if released else 0)
+
+
+def test_a_robot_that_is_freed_while_connected_is_a_crash(trial: ArmTrial, tmp_path: Path) -> None:
+    """As where the exception is caught outside of the function that has the robot."""
+    robot = Failstop(FailstopConfig(calibration_dir=tmp_path, service=trial.name, joints=JOINTS))
+    robot.connect()
+    robot.send_action(STILL)
+    trial.robot.enable()
+    del robot
+    wait_for("the slot to be free", lambda: not [one for one in trial.robot.state.clients if one.name == "lerobot"])
+    assert not trial.robot.state.enabled
+
+
+def test_the_wheels_do_not_wait_for_a_camera_that_blocks(trial: ArmTrial, make: Any) -> None:
+    robot = make(cameras={"front": CameraConfig(fps=30, width=4, height=2)})
+    robot.connect()
+    robot.send_action(STILL)
+    parted: list[bool] = []
+
+    def blocks() -> None:
+        wait_for("the goodbye", lambda: not [one for one in trial.robot.state.clients if one.name == "lerobot"])
+        parted.append(True)
+
+    robot.cameras["front"].disconnect = blocks
+    robot.disconnect()
+    assert parted
+
+
+def test_what_a_person_should_type_names_the_service(
+    trial: ArmTrial, make: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = make()
+    robot.connect()
+    with caplog.at_level(logging.WARNING):
+        until(lambda: robot.send_action({**STILL, "x.vel": 0.1}) and caplog.records)
+    assert f"the wheels stand still: disabled (`failstop why --name {trial.name}`)" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("given", "action", "told"),
     [

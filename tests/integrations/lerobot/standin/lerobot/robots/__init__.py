@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import contextlib
 import dataclasses
 import importlib
 import json
@@ -64,6 +65,11 @@ class Robot(abc.ABC):
 
     def __exit__(self, *_raised: object) -> None:
         self.disconnect()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):
+            if self.is_connected:
+                self.disconnect()
 
     def _save_calibration(self) -> None:
         rows = {name: dataclasses.asdict(row) for name, row in self.calibration.items()}
