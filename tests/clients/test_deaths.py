@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from failstop_lab.trial import Trial, wait_for
 from tests.clients.scene import LATE_NS, OK, seen, set_off, stays
-from tests.support.c_client import Driver
+from tests.support.c_client import SOURCE, Driver, cpp_compiler, library
 
 ENDS = {
     "kill -9": lambda driver: os.kill(driver.pid, signal.SIGKILL),
@@ -66,6 +67,81 @@ def test_a_driver_that_ends_itself_without_a_goodbye_has_died(trial: Trial, driv
     stays(trial, "driver.c", driver.pid)
     if way == "exec":
         assert driver.process.poll() is None, "another program goes on under its number"
+
+
+def test_a_handle_that_is_abandoned_is_a_program_that_has_died(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    assert driver.do("for 0.1 0.2") == OK
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    assert driver.do("abandon") == OK
+    stopped = seen(trial, fault_ns)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < LATE_NS
+    assert stopped.motion_after == 0
+    stays(trial, "driver.c", driver.pid)
+
+
+def test_an_abandoned_handle_takes_back_the_motion_that_it_enabled_and_did_not_use(
+    trial: Trial, driver: Driver
+) -> None:
+    driver.connect(trial.name)
+    assert driver.do("enable -1") == OK
+    assert driver.do("abandon") == OK
+    assert not trial.robot.state.enabled
+
+
+THROWING = r"""
+#include <failstop.hpp>
+#include <cstdio>
+#include <stdexcept>
+
+static void work(const char *service, bool fails) {
+  failstop::Robot own, robot;
+  // What is moved counts from its new place.
+  if (!own.open(service, "own.cpp") || !own.connect()) throw std::logic_error(own.last_error());
+  robot = std::move(own);
+  for (char letter = 0; std::scanf(" %c", &letter) == 1 && letter == 'd';) {
+    robot.sensed();
+    std::printf("%d\n", robot.drive(0.0, 0.0, 0.0).code());
+    std::fflush(stdout);
+  }
+  if (fails) throw std::runtime_error("it fails");
+}
+
+int main(int, char **words) {
+  try {
+    work(words[1], *words[2] == 'f');
+  } catch (const std::runtime_error &) {
+    std::puts("caught");
+  }
+  std::puts("goes on");
+  std::fflush(stdout);
+  while (std::getchar() != EOF) continue;
+}
+"""
+
+
+@pytest.mark.parametrize("standard", ["c++11", "c++20"])
+@pytest.mark.parametrize(("way", "stays_enabled"), [("fails", False), ("returns", True)])
+def test_a_c_plus_plus_program_that_catches_an_exception_has_died(
+    trial: Trial, tmp_path: Path, standard: str, way: str, stays_enabled: bool
+) -> None:
+    source = tmp_path / "own.cpp"
+    source.write_text(THROWING)
+    where = library()
+    command = (cpp_compiler(), f"-std={standard}", f"-I{SOURCE}/include", source, "-o", tmp_path / "own")
+    subprocess.run((*command, f"-L{where}", "-lfailstop", f"-Wl,-rpath,{where}"), check=True)
+    with Driver(command=(str(tmp_path / "own"), trial.name, way)) as driver:
+        assert driver.do("d") == OK
+        trial.robot.enable()  # whose answer comes after the gate has heard the command
+        driver.tell("e")
+        answers = [driver.answer() for _ in range(1 if stays_enabled else 2)]
+        assert answers[-1] == "goes on"
+        wait_for("the slot to be free", lambda: not [c for c in trial.robot.state.clients if c.pid == driver.pid])
+        assert trial.robot.state.enabled is stays_enabled
+        assert driver.process.poll() is None
 
 
 def test_a_child_that_lives_on_does_not_hide_the_death_of_its_parent(trial: Trial, driver: Driver) -> None:

@@ -31,6 +31,15 @@ def compiler() -> str:
     return found
 
 
+def cpp_compiler() -> str:
+    """The C++ compiler; without one, the test is skipped and says so."""
+    compiler()
+    found = shutil.which("c++") or shutil.which("g++")
+    if not found:
+        pytest.skip("C++ is not tried: apt install g++")
+    return found
+
+
 @functools.cache
 def library() -> Path:
     """The folder of the built library. Several test processes build it one after the other."""

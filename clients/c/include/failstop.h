@@ -11,13 +11,13 @@
  * Real-time: a function marked **real-time** makes no memory, takes no lock that another thread may hold for long, logs
  * nothing and never waits for the service. It makes a few short system calls, and needs up to 12 KB of stack.
  *
- * Threads: unless a function says otherwise, any thread may call it at any time. fs_connect() and fs_close() are the
- * exceptions: while one of them runs, no other thread may use the same handle, except for fs_stop() during
- * fs_connect(). A thread that is cancelled (pthread_cancel) while it stops, asks, connects or closes ends when the call
+ * Threads: unless a function says otherwise, any thread may call it at any time. fs_connect(), fs_close() and
+ * fs_abandon() are the exceptions: while one of them runs, no other thread may use the same handle, except for fs_stop()
+ * during fs_connect(). A thread that is cancelled (pthread_cancel) while it stops, asks, connects or closes ends when the call
  * has returned.
  *
- * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call but fs_stop() and
- * fs_close() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
+ * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call but fs_stop(),
+ * fs_close() and fs_abandon() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
  *
  * Descriptors: a handle holds a few file descriptors, which are closed on exec. If your program closes them itself, for
  * example with closefrom(), every call returns FS_NO_SERVICE, but fs_stop() still works, and failstop never writes to a
@@ -262,6 +262,13 @@ FS_API FS_MUST_LOOK int fs_connect(fs_robot *robot);
  * latched (setting gate.driver_death). NULL is fine. No other thread may use the handle meanwhile, or afterwards.
  */
 FS_API void fs_close(fs_robot *robot);
+
+/**
+ * As fs_close(), but for the service this program has died, as if it had crashed: after it has driven, motion is
+ * disabled, or a stop is latched (setting gate.driver_death). Use it when your program fails and goes on. If the program
+ * has not driven, or if that setting is `stay`, only motion that this handle enabled is disabled, as by fs_close().
+ */
+FS_API void fs_abandon(fs_robot *robot);
 
 /** Leave motion enabled at fs_close(), for other programs. **Real-time.** */
 FS_API int fs_keep_enabled(fs_robot *robot);

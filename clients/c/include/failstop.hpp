@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <exception>
 #include <string>
 #include <utility>
 
@@ -43,7 +44,10 @@ struct Command : fs_velocity {
   }
 };
 
-/** A handle. It can be moved, but not copied. Its destructor is fs_close(). */
+/**
+ * A handle. It can be moved, but not copied. Its destructor is fs_close(). If an exception destroys the handle, the
+ * destructor is fs_abandon() instead, because the program has failed, even if something catches the exception later.
+ */
 class Robot {
 public:
   /** No handle yet: every call returns FS_INVALID until open(). */
@@ -58,7 +62,13 @@ public:
     }
     return *this;
   }
-  ~Robot() { fs_close(robot_); }
+  ~Robot() {
+    if (unwinding() > unwinding_) {
+      fs_abandon(robot_);
+    } else {
+      fs_close(robot_);
+    }
+  }
 
   /** Opens in place of an earlier handle, which is closed. */
   Result open(const char *service = nullptr, const char *client = nullptr) noexcept {
@@ -110,12 +120,23 @@ public:
   fs_robot *get() const noexcept { return robot_; }
 
 private:
+  /** How many exceptions are on their way in this thread; before C++17, only whether one is. */
+  static int unwinding() noexcept {
+#if defined(__cpp_lib_uncaught_exceptions)
+    return std::uncaught_exceptions();
+#else
+    return std::uncaught_exception();
+#endif
+  }
+
   std::string text(int (*of)(const fs_robot *, char *, std::size_t)) const {
     char found[1024] = "";
     return of(robot_, found, sizeof found) < 0 ? std::string() : std::string(found);
   }
 
   fs_robot *robot_ = nullptr;
+  /** Of unwinding(), when this object was made: a destructor may make one while an exception is on its way. */
+  int unwinding_ = unwinding();
 };
 
 }  // namespace failstop

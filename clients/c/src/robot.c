@@ -344,12 +344,21 @@ int fs_connect(fs_robot *robot) {
   return result;
 }
 
-void fs_close(fs_robot *robot) {
+/* Whether the gate leaves motion enabled when this handle's program has died: it ends only the motion of a program that
+ * has driven, and with the setting "stay" not that either. */
+static bool outlived(const fs_robot *robot) {
+  char setting[8] = "";
+  fs_setting(robot, "gate.driver_death", setting, sizeof setting);
+  return !robot->commanded_ns || !strcmp(setting, "stay");
+}
+
+static void end(fs_robot *robot, bool in_order) {
   if (!robot) return;
   bool whole = !fsi_is_forked(robot) && robot->slot >= 0 && !fsi_over(robot->run);
-  if (whole && atomic_load(&robot->enabled) && !atomic_load(&robot->keep_enabled)) fs_disable(robot, FS_DEFAULT_TIMEOUT);
+  bool disables = whole && atomic_load(&robot->enabled) && !atomic_load(&robot->keep_enabled);
+  if (disables && (in_order || outlived(robot))) fs_disable(robot, FS_DEFAULT_TIMEOUT);
   int cancels = begin_slot();
-  leave(robot, true);
+  leave(robot, in_order);
   unlist(robot);
   end_slot(cancels);
   fsi_detach(robot->run);
@@ -362,6 +371,10 @@ void fs_close(fs_robot *robot) {
 
 int fs_keep_enabled(fs_robot *robot) {
   if (!robot) return FS_INVALID;
+void fs_close(fs_robot *robot) { end(robot, true); }
+
+void fs_abandon(fs_robot *robot) { end(robot, false); }
+
   atomic_store(&robot->keep_enabled, true);
   return FS_OK;
 }

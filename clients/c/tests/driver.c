@@ -193,8 +193,8 @@ int main(int count, char **words) {
       printf("0\n");
     } else if (!strcmp(line, "connect")) {
       printf("%d\n", fs_connect(robot));
-    } else if (!strcmp(line, "close")) {
-      fs_close(robot);
+    } else if (!strcmp(line, "close") || !strcmp(line, "abandon")) {
+      (*line == 'a' ? fs_abandon : fs_close)(robot);
       for (int at = 0; at < MOST_HANDLES; at++)
         if (robots[at] == robot) robots[at] = NULL;
       robot = NULL;
