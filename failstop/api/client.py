@@ -268,7 +268,7 @@ class Client:
         raise FailstopError(
             f"all {layout.CLIENT_SLOTS} client slots of {self.name!r} are taken"
             + (f", {damaged} of them damaged by a client: restart the service" if damaged else "")
-            + "; close a client: `failstop status` lists them"
+            + f"; close a client: `failstop status{instance.option(self.name)}` lists them"
         )
 
     def _ring(self) -> None:

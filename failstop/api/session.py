@@ -277,7 +277,7 @@ class Session:
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
         what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
-        return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
+        return NoAnswer(f"{what}: {why or words.named('see `failstop status`', self.name)}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
         """Make the error for a request that the gate refused, with the next step for people."""
@@ -286,7 +286,7 @@ class Session:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
             with contextlib.suppress(FailstopError):  # if the service is ending, there is no next step
                 step = steps.after_refusal(self.state, goal, known=answer.refused_for == records.FOR_AN_INTERLOCK)
-        return Refused(answer.text, answer.cause, step, answer.refused_for)
+        return Refused(words.named(answer.text, self.name), answer.cause, step, answer.refused_for)
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop import Refused
-from failstop.api import client
+from failstop import FailstopError, Refused
+from failstop.api import client, words
 from failstop.messages import layout, segments
 from failstop.messages.layout import GATE
 from failstop.policy import causes
@@ -98,6 +98,17 @@ def test_a_stop_latches_and_the_words_are_python_s(trial: Trial, driver: Driver)
     assert driver.state()["latched"] == 0
 
 
+def test_what_a_person_should_type_names_the_service(trial: Trial, driver: Driver) -> None:
+    """A computer may have several services, and the same command without the name is for the default one."""
+    driver.connect(trial.name)
+    trial.leave()
+    client.send_stop(trial.name, "the arm", "test", row=causes.ROS_ARM_NOT_HELD.name)
+    wait_for("the stop to be latched", lambda: driver.state()["latched"])
+    remedy = words.named(causes.ROS_ARM_NOT_HELD.remedy, trial.name)
+    assert f"`failstop status --name {trial.name}`" in remedy
+    assert driver.text("remedy") == remedy
+
+
 def test_a_request_need_not_be_waited_for(trial: Trial, driver: Driver) -> None:
     driver.connect(trial.name)
     assert driver.do("enable 0") == OK
@@ -154,7 +165,10 @@ def test_all_slots_are_taken_and_given_back(trial: Trial, driver: Driver) -> Non
         other.connect(trial.name)
         driver.do(f"open {trial.name} 7")
         assert driver.do("connect") == NO_SLOT
-        assert "failstop status" in driver.text("error")
+        assert f"`failstop status --name {trial.name}`" in driver.text("error")
+        with pytest.raises(FailstopError) as full:
+            trial.robot.assert_interlocks()
+        assert str(full.value) == driver.text("error")
     wait_for("its slot to be free", lambda: driver.do("connect") == OK)
 
 
@@ -181,7 +195,7 @@ def test_a_request_to_a_gate_that_hangs_is_not_waited_for_long(fresh: Trial, dri
     os.kill(gate := fresh.service.pids()[GATE], signal.SIGSTOP)
     try:
         assert driver.do("disable 0.05") == NO_ANSWER
-        assert "failstop status" in driver.text("error")
+        assert f"`failstop status --name {fresh.name}`" in driver.text("error")
     finally:
         os.kill(gate, signal.SIGCONT)
 

@@ -153,6 +153,9 @@ struct fsi_text {
 };
 FSI void fsi_add(struct fsi_text *text, const char *from, size_t count);
 FSI void fsi_adds(struct fsi_text *text, const char *from);
+/* As fsi_adds(); each failstop command in backquotes gets the option that names this service, unless it is the default
+ * one, because a computer may have several. */
+FSI void fsi_add_named(struct fsi_text *text, const char *from, const char *service);
 FSI int fsi_end(struct fsi_text *text);
 /* The number of a packed cause; CAUSE_UNKNOWN if it is damaged. */
 FSI int fsi_cause_number(const uint8_t *packed, size_t size);
@@ -276,6 +279,7 @@ FSI int fsi_open_segment(const struct fsi_run *run, const char *name, bool write
 FSI int fsi_fail(const fs_robot *robot, int code);
 /* Whether this process is a fork of the one that opened the handle. */
 FSI bool fsi_is_forked(const fs_robot *robot);
+/* The same with a text, whose commands get the service's name. */
 FSI int fsi_fail_with(fs_robot *robot, int code, const char *why);
 FSI size_t fsi_stop_line(char *out, const char *reason, const char *client, pid_t pid);
 #define FSI_STOP_LINE (ASKED_BYTES + WHO_BYTES + 32)

@@ -80,9 +80,11 @@ int fsi_fail(const fs_robot *robot, int code) {
 }
 
 int fsi_fail_with(fs_robot *robot, int code, const char *why) {
+  struct fsi_text text = {robot->error, sizeof robot->error, 0};
   pthread_mutex_lock(&robot->texts);
   robot->told = code;
-  snprintf(robot->error, sizeof robot->error, "%s", why);
+  fsi_add_named(&text, why, robot->places.name);
+  fsi_end(&text);
   pthread_mutex_unlock(&robot->texts);
   return fsi_fail(robot, code);
 }
@@ -369,12 +371,12 @@ static void end(fs_robot *robot, bool in_order) {
   free(robot);
 }
 
-int fs_keep_enabled(fs_robot *robot) {
-  if (!robot) return FS_INVALID;
 void fs_close(fs_robot *robot) { end(robot, true); }
 
 void fs_abandon(fs_robot *robot) { end(robot, false); }
 
+int fs_keep_enabled(fs_robot *robot) {
+  if (!robot) return FS_INVALID;
   atomic_store(&robot->keep_enabled, true);
   return FS_OK;
 }

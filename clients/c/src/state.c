@@ -342,7 +342,7 @@ int fs_remedy(const fs_robot *robot, char *out, size_t size) {
   struct fsi_decided decided;
   int result = decide_for_text(robot, out, size, &decided);
   if (result != FS_OK) return result;
-  if (decided.cause) fsi_adds(&text, fsi_cause_remedy(decided.cause));
+  if (decided.cause) fsi_add_named(&text, fsi_cause_remedy(decided.cause), robot->places.name);
   return fsi_end(&text);
 }
 

@@ -25,6 +25,23 @@ void fsi_add(struct fsi_text *text, const char *from, size_t count) {
 
 void fsi_adds(struct fsi_text *text, const char *from) { fsi_add(text, from, strlen(from)); }
 
+void fsi_add_named(struct fsi_text *text, const char *from, const char *service) {
+  static const char OPTION[] = " --name ", COMMAND[] = "failstop ";
+  bool other = strcmp(service, TEXT_DEFAULT_NAME) != 0;
+  const char *open, *close;
+  while (other && (open = strchr(from, '`')) && (close = strchr(open + 1, '`'))) {
+    const char *named = memmem(open, (size_t)(close - open), OPTION, sizeof OPTION - 1);
+    fsi_add(text, from, (size_t)(close - from));
+    if (!named && !strncmp(open + 1, COMMAND, sizeof COMMAND - 1)) {
+      fsi_adds(text, OPTION);
+      fsi_adds(text, service);
+    }
+    fsi_add(text, close, 1);
+    from = close + 1;
+  }
+  fsi_adds(text, from);
+}
+
 int fsi_end(struct fsi_text *text) {
   if (text->size) {
     size_t end = text->whole < text->size ? text->whole : fsi_cut(text->at, text->size - 1, text->size - 1);

@@ -237,6 +237,8 @@ int main(int count, char **words) {
       show_state();
     } else if (!strcmp(line, "why")) {
       show_text(fs_why);
+    } else if (!strcmp(line, "remedy")) {
+      show_text(fs_remedy);
     } else if (!strcmp(line, "error")) {
       show_text(fs_last_error);
     } else if (sscanf(line, "setting %399s", text) == 1) {

@@ -13,17 +13,18 @@ namespace failstop_ros2_control
 namespace
 {
 constexpr std::chrono::milliseconds EVERY{200};
+constexpr const char * DEFAULT_SERVICE = "failstop";
 
 /// Why nothing moves, and what to do; empty if the wheels may turn, or if only nobody commands, which is no news.
-std::string reason(const failstop::Robot & robot, const failstop::State & state)
+std::string reason(const failstop::Robot & robot, const failstop::State & state, const std::string & option)
 {
   switch (state.block) {
     case FS_BLOCK_LATCHED: {
       const std::string remedy = robot.remedy();
-      return robot.why() + "; next: " + (remedy.empty() ? "failstop why" : remedy);
+      return robot.why() + "; next: " + (remedy.empty() ? "failstop why" + option : remedy);
     }
     case FS_BLOCK_DISABLED:
-      return "motion is disabled; next: failstop enable";
+      return "motion is disabled; next: failstop enable" + option;
     case FS_BLOCK_HELD:
       return "a controller commanded a speed before motion was enabled; next: let it command zero";
     case FS_BLOCK_NO_SCAN:
@@ -34,9 +35,10 @@ std::string reason(const failstop::Robot & robot, const failstop::State & state)
 }
 }  // namespace
 
-void Reporter::start(const failstop::Robot & robot)
+void Reporter::start(const failstop::Robot & robot, const std::string & service)
 {
   stop();
+  option_ = service.empty() || service == DEFAULT_SERVICE ? "" : " --name " + service;
   ending_ = false;
   // Signals are for the program's own threads.
   sigset_t all, before;
@@ -73,7 +75,7 @@ void Reporter::follow(const failstop::Robot & robot)
     lock.unlock();
     failstop::State state;
     if (robot.state(state)) {
-      const std::string why = reason(robot, state);
+      const std::string why = reason(robot, state, option_);
       if (why != before) {
         if (!why.empty()) {
           RCLCPP_WARN(logger_, "motion is blocked: %s", why.c_str());

@@ -20,8 +20,9 @@ public:
   Reporter & operator=(const Reporter &) = delete;
   ~Reporter() { stop(); }
 
-  /// `robot` must exist until stop() has returned. If no thread can be started, nothing is logged.
-  void start(const failstop::Robot & robot);
+  /// `robot` must exist until stop() has returned. `service`: its service's name, for the commands in the log; empty for
+  /// the default one. If no thread can be started, nothing is logged.
+  void start(const failstop::Robot & robot, const std::string & service);
   /// Ends the thread and waits for it. This takes no longer than the line that it may be logging.
   void stop();
 
@@ -33,6 +34,8 @@ private:
   std::mutex mutex_;
   std::condition_variable woken_;
   bool ending_ = false;
+  /// What a failstop command needs to mean this service.
+  std::string option_;
 };
 
 }  // namespace failstop_ros2_control

@@ -260,7 +260,7 @@ CallbackReturn System::on_activate(const rclcpp_lifecycle::State &)
   drove_ = false;
   active_ = true;
   RCLCPP_INFO(logger_, "%s: connected; nothing moves before somebody enables motion", info_.name.c_str());
-  reporter_.start(robot_);
+  reporter_.start(robot_, service_);
   return CallbackReturn::SUCCESS;
 }
 

@@ -185,6 +185,8 @@ def test_what_a_controller_sees_of_an_emergency_stop(trial: Trial, tmp_path: Pat
         assert latched["failstop/cause"] == causes.REQUESTED.number
         until(lambda: manager.values()["left_wheel_joint/velocity"] == 0.0, "wheels that are reported at rest")
         until(lambda: "a hand near the wheel" in manager.logged, "the cause in the log")
+        # A computer may have several services, so what a person should type names the one of this robot.
+        assert f"next: failstop enable --name {trial.name}" in manager.logged
         rests = manager.values()["left_wheel_joint/position"]
         assert rests >= driven["left_wheel_joint/position"]
         until(trial.reset, "the reset")
