@@ -191,7 +191,11 @@ bool System::look_for_service()
       return true;
     }
     if (found != FS_NO_SERVICE || std::chrono::steady_clock::now() >= until) {
-      RCLCPP_ERROR(logger_, "%s: %s", info_.name.c_str(), robot_.last_error().c_str());
+      // Without a handle there is no last error.
+      const std::string wrong = found == FS_INVALID
+                                  ? "the parameter service = " + service_ + ": use 1 to 32 of a-z, 0-9, _ and -"
+                                  : robot_.last_error();
+      RCLCPP_ERROR(logger_, "%s: %s", info_.name.c_str(), wrong.empty() ? found.text() : wrong.c_str());
       return false;
     }
     if (!std::exchange(waited, true)) {

@@ -76,6 +76,13 @@ def test_a_base_that_steers_needs_a_service_that_steers(trial: Trial, tmp_path: 
         assert "the service's base does not steer (setting wheels.layout)" in manager.logged
 
 
+def test_a_service_that_no_service_can_have_as_its_name_is_named(tmp_path: Path) -> None:
+    with managed("lyrical", urdf("diff", service="Left_Robot"), tmp_path) as manager:
+        manager.until("on_configure FAILURE")
+        told = "diff_base: the parameter service = Left_Robot: use 1 to 32 of a-z, 0-9, _ and -"
+        assert told in manager.logged
+
+
 def test_a_parameter_that_has_no_effect_is_named(tmp_path: Path) -> None:
     text = urdf("diff", service="ros2-nobody", more={"device": "/dev/ttyUSB0"}).replace(">10<", ">0<")
     with managed("lyrical", text, tmp_path) as manager:
