@@ -65,6 +65,12 @@ void System::collect()
     }
   }
 }
+
+void System::forget(std::size_t at)
+{
+  values_[at] = NONE;
+  set_command(commands_[at], NONE);
+}
 #else
 CallbackReturn System::on_init(const hardware_interface::HardwareInfo & info)
 {
@@ -96,6 +102,7 @@ std::vector<hardware_interface::CommandInterface> System::export_command_interfa
 // The interfaces point to our values.
 void System::publish() {}
 void System::collect() {}
+void System::forget(std::size_t at) { values_[at] = NONE; }
 #endif
 
 CallbackReturn System::begin()
@@ -259,8 +266,11 @@ CallbackReturn System::on_activate(const rclcpp_lifecycle::State &)
     RCLCPP_ERROR(logger_, "%s: %s", info_.name.c_str(), robot_.last_error().c_str());
     return CallbackReturn::FAILURE;
   }
-  // A controller that is claimed later sets them first.
-  std::fill(values_.begin(), values_.end(), NONE);
+  for (std::size_t at = 0; at < joints_.size(); ++at) {
+    if (joints_[at].commanded) {
+      forget(at);
+    }
+  }
   drove_ = false;
   active_ = true;
   RCLCPP_INFO(logger_, "%s: connected; nothing moves before somebody enables motion", info_.name.c_str());
@@ -341,6 +351,8 @@ return_type System::perform_command_mode_switch(
       claimed_[at] = false;
     }
     if (std::find(start.begin(), start.end(), commands_[at]) != start.end()) {
+      // Not every controller sets its interfaces to zero when it leaves them, so the old value may be a speed.
+      forget(at);
       claimed_[at] = true;
     }
   }

@@ -87,6 +87,8 @@ private:
   double value_of(const Shown & shown, const failstop::State & state) const;
   void publish();
   void collect();
+  /// Leave the joint without a command, so that nothing moves until a controller has written one.
+  void forget(std::size_t at);
   int drive(const Command & command);
   void disable(double timeout_s);
   void ask_to_disable(double timeout_s);

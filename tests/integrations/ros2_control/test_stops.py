@@ -13,7 +13,7 @@ from failstop_lab.controller_manager import HZ, Manager
 from failstop_lab.trial import Trial
 from tests.support.waiting import until
 
-from .scene import drive, managed, needs_compiler, stopped, turns, urdf
+from .scene import RADPS, drive, managed, needs_compiler, stopped, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
 SILENT = "stopped sending commands while it drove"
@@ -155,6 +155,20 @@ def test_a_controller_that_leaves_stops_the_wheels_and_frees_the_source(manager:
     assert trial.robot.state.enabled
     manager.send("claim")
     manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
+    turns(manager, trial)
+
+
+def test_a_controller_that_comes_back_moves_nothing_before_it_writes(manager: Manager, trial: Trial) -> None:
+    """The one that left has not set its interfaces to zero, so they still have the last speed."""
+    drive(manager, trial)
+    manager.send("abandon")
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    trial.board.events()
+    manager.claim()
+    manager.turn(HZ)
+    assert trial.robot.state.enabled
+    assert not any(event.is_motion for event in trial.board.events())
+    manager.set({f"{name}/velocity": RADPS for name in manager.joints})
     turns(manager, trial)
 
 

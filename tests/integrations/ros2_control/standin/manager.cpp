@@ -2,6 +2,7 @@
 // loop, as ros2_control does by release. The hardware's description comes as lines on stdin up to `end`, then commands:
 //
 //   claim, unclaim [NAME ...] a controller takes all command interfaces or these, or leaves them after setting 0.0
+//   abandon [NAME ...]        a controller leaves them as they are, as forward_command_controller does
 //   set JOINT VALUE           the controller's command, from the next turn on
 //   to STATE                  configure, activate, deactivate, cleanup or shutdown
 //   values                    at the end of a turn, print the number of turns and every state interface
@@ -139,10 +140,10 @@ public:
     }
   }
 
-  void claim(bool start, const std::vector<std::string> & given)
+  void claim(bool start, bool halts, const std::vector<std::string> & given)
   {
     const std::vector<std::string> none, & names = given.empty() ? command_names_ : given;
-    if (!start) {
+    if (halts) {
       for (const auto & name : names) {
         set(name, 0.0);  // as halt() of diff_drive_controller
       }
@@ -323,16 +324,16 @@ int main(int count, char ** arguments)
         words >> name >> line;
         value = strtod_l(line.c_str(), nullptr, plain);
         wanted[name] = value;
-      } else if (verb == "claim" || verb == "unclaim") {
+      } else if (verb == "claim" || verb == "unclaim" || verb == "abandon") {
         std::vector<std::string> names;
         while (words >> name) {
           names.push_back(name);
         }
-        for (auto each = wanted.begin(); verb == "unclaim" && each != wanted.end();) {
+        for (auto each = wanted.begin(); verb != "claim" && each != wanted.end();) {
           const bool left = names.empty() || std::find(names.begin(), names.end(), each->first) != names.end();
           each = left ? wanted.erase(each) : std::next(each);
         }
-        component.claim(verb == "claim", names);
+        component.claim(verb == "claim", verb == "unclaim", names);
         say(verb);
       } else if (verb == "to") {
         words >> name;
