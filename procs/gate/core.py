@@ -90,6 +90,9 @@ class GateCore:
         program would drive again after a restart. This is so even if the session was not driving when it died."""
         self._movers: set[int] = set()
         """The sessions whose commands have turned the wheels."""
+        self._wants_motion = False
+        """True if the last command that drove was not zero. The velocity doesn't show this: without scans it is zero
+        too, but the driver drives on with the next scan."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
         self._ramps_on = False
@@ -179,16 +182,19 @@ class GateCore:
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
-        """Check whether the driver has just fallen silent while the wheels turned. Call it once per step. The setting
-        gate.driver_silence chooses one of three answers: only add a note, disable motion and add a note, or return the
-        cause of a stop. If the driver is a person who has let go of a key, only add a note."""
-        if not any(self.velocity) or self.sources.driving(now_ns):
+        """Check whether the driver has just fallen silent although its last command was not zero. Call it once per
+        step. The setting gate.driver_silence chooses one of three answers: only add a note if the wheels turned,
+        disable motion and add a note, or return the cause of a stop. A person who has let go of a key gets the first
+        answer."""
+        if not self._wants_motion or self.sources.driving(now_ns):
             return None
+        self._wants_motion = False
         driver = self.sources.last_driver()
         if driver is None:
             return None
         if driver.by_hand or self._driver_silence == _WAIT:
-            self.notes += self._losses.silent(driver, now_ns)
+            if any(self.velocity):
+                self.notes += self._losses.silent(driver, now_ns)
             return None
         if self._driver_silence == _LATCH:
             return causes.DRIVER_SILENT(driver.who, (now_ns - driver.t_ns) // 1_000_000)
@@ -290,6 +296,8 @@ class GateCore:
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
         driving, fell_back = self.sources.choose_driver(now_ns)
+        if driving:
+            self._wants_motion = driving.moves
         before = self.velocity
         if reason or driving is None:
             self.velocity = REST

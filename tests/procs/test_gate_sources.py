@@ -377,3 +377,59 @@ def test_a_person_who_lets_go_of_a_key_is_no_silent_driver(answer: str) -> None:
     gate.tick()
     gate.tick(301 * MS)
     assert (gate.silence, gate.blocked) == (None, "cmd timeout")
+
+
+@pytest.mark.parametrize("timeout_ms", [1_000, 500], ids=["later than the scan", "as soon as the scan"])
+@pytest.mark.parametrize("answer", ["wait", "disable", "latch"])
+def test_a_program_that_delivers_the_scans_and_hangs_is_a_silent_driver(answer: str, timeout_ms: int) -> None:
+    """It delivers a scan before each command, so the wheels are at rest already when the command gets too old."""
+    gate = Gate(scan__gate="on", gate__command_timeout_s=timeout_ms / 1000, gate__driver_silence=answer)
+    scan(gate)
+    gate.enable()
+    gate.tick()
+    gate.command(0.1)
+    assert gate.tick() > 0.0
+    gate.tick(461 * MS)
+    assert (gate.core.velocity, gate.blocked, gate.silence) == (REST, "no scan", None)
+    gate.core.notes.clear()
+    gate.tick((timeout_ms - 480) * MS)
+    silent_ms = timeout_ms + 1
+    assert str(gate.silence) == (f"driver silent: client 1, {silent_ms} ms" if answer == "latch" else "None")
+    assert [note.kind for note in gate.core.notes] == ["disabled"] * (answer == "disable")
+    gate.tick()
+    assert gate.silence is None, "once"
+    scan(gate)
+    gate.command(0.1)
+    assert (gate.tick() > 0.0) is (answer != "disable"), "the gate's loop has latched the cause"
+
+
+@pytest.mark.parametrize("end", ["zero", "goodbye", "disabled"])
+def test_a_driver_that_ended_its_motion_without_scans_is_not_silent(end: str) -> None:
+    gate = Gate(scan__gate="on", gate__driver_silence="latch")
+    scan(gate)
+    gate.enable()
+    gate.tick(501 * MS)
+    gate.command(0.1)
+    gate.tick()
+    assert gate.blocked == "no scan"
+    if end == "zero":
+        gate.command(0.0)
+        gate.tick()
+    elif end == "goodbye":
+        gate.gone(parted=True)
+    else:
+        gate.core.disable()
+        gate.core.enable(2, "", gate.now)
+    gate.tick(301 * MS)
+    assert (gate.silence, gate.core.enabled) == (None, True)
+
+
+def test_a_zero_command_ends_the_motion_though_the_wheels_still_slow_down() -> None:
+    gate = Gate(gate__driver_silence="latch")
+    gate.enable()
+    gate.drive((0.2, 0.0, 0.0), 30)
+    gate.command(0.0)
+    gate.tick()
+    assert gate.core.velocity != REST
+    gate.tick(301 * MS)
+    assert (gate.silence, gate.core.velocity, gate.core.enabled) == (None, REST, True)
