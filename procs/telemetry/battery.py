@@ -24,9 +24,9 @@ seconds."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled, in ns, before a step in the voltage counts as the charger's. When the motors
 begin or end to draw current, the voltage also makes a step, of up to 170 mV."""
-MOST_READINGS = 64
-"""How many readings are kept. About one comes per second. The limit keeps the work small if a flood of readings
-comes."""
+APART_NS = 250_000_000
+"""The shortest time between two readings that are kept. Some boards send 100 a second, and to keep the readings of
+JUMP_WINDOW_NS would be much work."""
 
 HEADER = "unix_s,battery_mv,enabled\n"
 """The first line of every log file. `enabled` is 1 while motion is enabled."""
@@ -67,8 +67,9 @@ class Charger:
 
     def add(self, millivolts: int, t_ns: int) -> bool:
         """Add a reading. Returns True if it has changed `state`."""
-        known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS][-MOST_READINGS:]
-        self._readings = [*known, (t_ns, millivolts)]
+        known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS]
+        if not known or t_ns - known[-1][0] >= APART_NS:
+            self._readings = [*known, (t_ns, millivolts)]
         base = sorted(mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS)
         since_ns = self._disabled_since_ns
         if not base or since_ns is None or t_ns - since_ns <= SETTLE_NS:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery import (
+    APART_NS,
     HEADER,
     LOW_READINGS,
-    MOST_READINGS,
     PLUGGED_IN,
     UNDECIDED,
     UNPLUGGED,
@@ -107,12 +107,21 @@ def test_a_voltage_that_stays_within_190_mv_never_changes_the_state(steps: list[
     assert tested.state == state
 
 
-def test_a_flood_of_readings_is_forgotten() -> None:
-    """The base is the median of the newest readings alone, however few of all they are."""
+@pytest.mark.parametrize("every_ns", [10 * MS, 50 * MS, S])
+def test_a_step_is_seen_however_often_the_board_reports(every_ns: int) -> None:
     tested = charger()
-    readings(tested, *[11_000] * 5_000, *[11_800] * (MOST_READINGS // 2 + 1), every_ns=1_000)
-    assert not tested.add(11_989, 5 * S)
-    assert tested.add(11_990, 5 * S)
+    next_ns = readings(tested, *[11_800] * (20 * S // every_ns), every_ns=every_ns)
+    readings(tested, *[12_049] * (3 * S // every_ns), start_ns=next_ns, every_ns=every_ns)
+    assert tested.state == PLUGGED_IN
+
+
+def test_of_readings_that_come_together_one_is_kept() -> None:
+    """A flood counts as one reading in the median, and the next one as another."""
+    tested = charger()
+    readings(tested, 11_000, *[11_800] * 5_000, every_ns=1)
+    readings(tested, 11_001, start_ns=APART_NS)
+    assert not tested.add(11_190, 5 * S)
+    assert tested.add(11_191, 5 * S)
 
 
 @pytest.mark.parametrize(("stop_mv", "stops"), [(-1, False), (0, True), (1, True)])
