@@ -13,8 +13,15 @@ UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
 """The states of the charger, as indices of records.PLUGGED."""
 
 LOW_READINGS = 5
-"""How many low readings in a row stop the robot. About one reading comes per second. A single low reading proves
-nothing, because the motors pull the voltage down when they start."""
+LOW_NS = 5_000_000_000
+"""The robot stops if all readings have been low for LOW_NS, and they are at least LOW_READINGS. The motors pull the
+voltage down while they start, and some boards send 100 readings in that second."""
+CHARGED_PERCENT = 110
+CHARGED_NS = 60_000_000_000
+"""A battery counts as charged if all readings of CHARGED_NS are at least CHARGED_PERCENT of battery.stop_mv.
+The voltage of an empty battery also rises when the motors stop, but only by a few percent. A charge raises a lithium
+cell from about 3.4 V to 4.2 V. The state of the charger is not used here, because with large motors the voltage jumps
+at each stop as if a charger were plugged in."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
@@ -33,19 +40,42 @@ HEADER = "unix_s,battery_mv,enabled\n"
 
 
 class LowBattery:
-    """Counts readings in a row that are below the setting battery.stop_mv. If the setting is -1, nothing is stopped."""
+    """Stops the robot if the voltage stays below the setting battery.stop_mv, once until the battery has been charged.
+    If the setting is -1, nothing is stopped."""
 
     def __init__(self, settings: Settings) -> None:
         self._least_mv = settings["battery.stop_mv"]
         self.stops = self._least_mv >= 0
         """True if a low battery stops the robot."""
-        self._low = 0
+        self._low_since: tuple[int, int] | None = None
+        """When the first of the low readings in a row came, and how many there are. None if the last one was not
+        low."""
+        self._high_since_ns: int | None = None
+        self._has_stopped = False
+        """True from a stop until the battery has been charged."""
 
-    def add(self, millivolts: int) -> Cause | None:
-        """Add a reading. Returns the cause of a stop once, at the last of LOW_READINGS low readings in a row, otherwise
-        None. A reading that is not low starts the count again."""
-        self._low = self._low + 1 if millivolts < self._least_mv else 0
-        return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
+    def add(self, millivolts: int, t_ns: int) -> Cause | None:
+        """Add a reading. Returns the cause of a stop if the voltage has just been low for long enough, otherwise
+        None."""
+        if millivolts >= self._least_mv:
+            self._low_since = None
+            self._look_for_charge(millivolts, t_ns)
+            return None
+        self._high_since_ns = None
+        since_ns, count = self._low_since or (t_ns, 0)
+        self._low_since = since_ns, count + 1
+        if self._has_stopped or count + 1 < LOW_READINGS or t_ns - since_ns < LOW_NS:
+            return None
+        self._has_stopped = True
+        return causes.BATTERY(millivolts / 1000)
+
+    def _look_for_charge(self, millivolts: int, t_ns: int) -> None:
+        if 100 * millivolts < CHARGED_PERCENT * self._least_mv:
+            self._high_since_ns = None
+        elif self._high_since_ns is None:
+            self._high_since_ns = t_ns
+        elif t_ns - self._high_since_ns >= CHARGED_NS:
+            self._has_stopped = False
 
 
 class Charger:
@@ -53,7 +83,7 @@ class Charger:
     mV for plugging in and -226 mV for unplugging."""
 
     def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
-        """`state`: the state before a restart of this process, if known."""
+        """`state`: the state that the previous telemetry process of this run has found, if there was one."""
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []
         self._disabled_since_ns: int | None = None

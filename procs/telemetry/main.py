@@ -488,7 +488,7 @@ class Telemetry:
             # The board reports no battery. Its voltage is neither low nor changed by a charger, and readers get None.
             self._latest["battery"].write(records.BATTERY.pack(0, self._charger.state), t_ns)
             return
-        self._raise(self._low_battery.add(millivolts))
+        self._raise(self._low_battery.add(millivolts, t_ns))
         if self._charger.add(millivolts, t_ns):
             name = records.PLUGGED[self._charger.state]
             self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")

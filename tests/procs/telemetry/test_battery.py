@@ -129,15 +129,53 @@ def test_a_low_battery_stops_with_any_setting_but_minus_1(stop_mv: int, stops: b
     assert LowBattery(Settings({"battery.stop_mv": stop_mv})).stops is stops
 
 
-def test_a_battery_that_stays_low_stops_once_where_a_setting_says_so() -> None:
-    tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
-    runs = ((LOW_READINGS - 1, 10_400), (1, 10_500), (2 * LOW_READINGS, 10_499), (1, 11_000), (LOW_READINGS, 10_490))
-    readings = [millivolts for count, millivolts in runs for _ in range(count)]
-    stops = [(at, str(cause)) for at, millivolts in enumerate(readings) if (cause := tested.add(millivolts))]
-    assert [at for at, _ in stops] == [2 * LOW_READINGS - 1, len(readings) - 1]
-    assert stops[1][1] == "the battery is at 10.49 V", "the volts that stopped it"
+class Drained:
+    """A battery that is judged with stops below 10.5 V."""
+
+    def __init__(self) -> None:
+        self.judge = LowBattery(Settings({"battery.stop_mv": 10_500}))
+        self.now_ns = 0
+
+    def stays(self, millivolts: int, for_ns: int, every_ns: int = S) -> list[tuple[int, str]]:
+        """Stops while readings with this voltage come for so long, the last one at the end: when, since the first
+        reading, and why."""
+        begun_ns, stops = self.now_ns, []
+        while self.now_ns <= begun_ns + for_ns:
+            if cause := self.judge.add(millivolts, self.now_ns):
+                stops.append((self.now_ns - begun_ns, str(cause)))
+            self.now_ns += every_ns
+        return stops
+
+
+@pytest.mark.parametrize(
+    ("every_ns", "after_ns"), [(10 * MS, 5 * S), (50 * MS, 5 * S), (1_050 * MS, 5_250 * MS), (2 * S, 8 * S)]
+)
+def test_a_battery_that_stays_low_for_5_s_and_5_readings_stops(every_ns: int, after_ns: int) -> None:
+    tested = Drained()
+    assert tested.stays(10_400, after_ns - 1, every_ns) == [], "a sag, as motors that start make it"
+    assert tested.stays(10_500, 0, every_ns) == [], "not low, so the time begins again"
+    assert tested.stays(10_499, 60 * S, every_ns) == [(after_ns, "the battery is at 10.50 V")]
+    assert LOW_READINGS == 5
     silent = LowBattery(Settings())
-    assert {silent.add(0) for _ in range(2 * LOW_READINGS)} == {None}
+    assert {silent.add(0, at * S) for at in range(20)} == {None}, "no setting asks for it"
+
+
+def test_a_battery_stops_again_only_after_a_charge() -> None:
+    tested = Drained()
+    assert tested.stays(10_400, 5 * S) == [(5 * S, "the battery is at 10.40 V")]
+    for _ in range(3):
+        assert tested.stays(11_000, 600 * S) == [], "it recovers while the robot is parked"
+        assert tested.stays(10_490, 600 * S) == [], "and drops on the way to the charger"
+    for dip_mv in (11_549, 10_499):
+        tested.stays(11_550, 59 * S)
+        tested.stays(dip_mv, 0)
+        tested.stays(11_550, 59 * S)
+        assert tested.stays(10_400, 60 * S) == [], f"not high for a minute on end ({dip_mv})"
+    tested.stays(11_550, 60 * S)
+    assert tested.stays(11_000, 3_600 * S) == [], "used up"
+    assert tested.stays(10_400, 60 * S) == [(5 * S, "the battery is at 10.40 V")]
+    assert tested.stays(11_000, 3_600 * S) == []
+    assert tested.stays(10_400, 60 * S) == []
 
 
 def log(**changed: object) -> BatteryLog:

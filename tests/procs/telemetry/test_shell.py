@@ -223,8 +223,10 @@ def test_a_damaged_charger_file_is_unknown_and_holds_nothing_up(scene: Scene, co
 
 def test_a_low_battery_stops_where_the_settings_say_so() -> None:
     scene = Scene(**{"battery.stop_mv": 10_500})
-    scene.battery(*[10_400] * LOW_READINGS)
+    scene.battery(*[10_400] * (LOW_READINGS + 1))
     assert scene.told("causes") == [causes.BATTERY(10.4).pack()]
+    scene.battery(*[11_000] * 20, *[10_400] * 20)
+    assert scene.told("causes") == [], "once per charge"
 
 
 def test_the_battery_log_is_written(scene: Scene) -> None:
