@@ -96,7 +96,7 @@ def _plausible(sample: Sample) -> list[Said]:
         servo, what = plausible.whole_number(sample.servo, 0, 255), plausible.whole_number(sample.what, 0, 255)
         return [(HEARD_SERVO, (servo, what, plausible.whole_number(sample.value, -MOST_VALUE, MOST_VALUE)))]
     if isinstance(sample, Restarted):
-        return [(HEARD_RESTARTED, (sample.text,))]
+        return [(HEARD_RESTARTED, (plausible.one_line(str(sample.text)),))]
     if isinstance(sample, Firmware):
         return [(HEARD_FIRMWARE, (sample.name,))]
     if isinstance(sample, Health):

@@ -30,7 +30,7 @@ exactly."""
 MOST_REPORTED_WHEELS = 16
 MOST_HEALTH_ROWS = 16
 LONGEST_ODD_TEXT = 60
-"""How many characters of an impossible value are shown."""
+"""How many characters of an impossible value, or of a text about a restart, are shown."""
 MOST_ODD_VALUES = 8
 """How many impossible values are shown, if there are several."""
 IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
@@ -107,5 +107,10 @@ def odd_text(value: object) -> str:
         text = ", ".join(map(odd_text, value[:MOST_ODD_VALUES])) if isinstance(value, (list, tuple)) else repr(value)
     except Exception:  # the repr of an unknown object, or an integer with more digits than Python prints
         text = f"a value of type {type(value).__name__}"
+    return one_line(text)
+
+
+def one_line(text: str) -> str:
+    """Return a text as one printable line of at most LONGEST_ODD_TEXT characters."""
     line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST_ODD_TEXT + 1])
     return line if len(line) <= LONGEST_ODD_TEXT else f"{line[: LONGEST_ODD_TEXT - 3]}..."

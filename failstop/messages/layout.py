@@ -179,7 +179,7 @@ SEGMENTS = (
             _latest("pad_command", records.PAD_COMMAND, "gate"),  # one per frame while the pad drives
             # The causes for which it stops the robot, in order. An empty entry means: write the stop again, without a
             # cause.
-            _ring("causes", 64, 8, "port_owner"),
+            _ring("causes", records.CAUSE_BYTES, 8, "port_owner"),
             _ring("servos", records.SERVO, 64, "gate"),  # the answers of the arm's servos, in order
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames other than motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # notes for people (packing.py)

@@ -133,7 +133,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_latest\("imu", records.IMU', '_latest("imu", records.ODOMETRY'),
         (r'_ring\("frames", records.FRAME, 64', '_ring("frames", records.FRAME, 63'),
         (r'_ring\("frames", records.FRAME', '_ring("frames", 268'),
-        (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
+        (r'_ring\("events", (\d+), (\d+)', r'_ring("events", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
         (r'_latest\("battery", records.BATTERY, ', '_word("battery", '),
         (r'(_latest\("battery"[^\n]*)\n\s*(_latest\("odometry"[^\n]*)', r"\2\n            \1"),
@@ -150,7 +150,7 @@ OF_THE_SERVICE_ALONE = [
     (r"LAYOUT_VERSION = \d+", "LAYOUT_VERSION = 99"),
     (r'(_word\("resets", "gate"\),)', r'\1 _word("resets_again", "gate"),'),
     (r'_ring\("frames", records.FRAME, 64', '_ring("frames", records.FRAME, 63'),
-    (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
+    (r'_ring\("events", (\d+), (\d+)', r'_ring("events", \2, \1'),
 ]
 OF_CLIENTS_TOO = [
     (r"CLIENT_VERSION = \d+", "CLIENT_VERSION = 99"),

@@ -19,9 +19,9 @@ from failstop.board import plausible
 from failstop.board.hoverboard.feedback import seal
 from failstop.board.rrc import framing
 from failstop.board.rrc.framing import seal as sealed
-from failstop.messages import records
+from failstop.messages import layout, records
 from failstop.messages.packing import Note
-from failstop.policy.causes import read
+from failstop.policy.causes import BY_NUMBER, read
 from failstop.procs.telemetry.battery import LOW_READINGS
 from tests.support.telemetry_scene import Scene
 
@@ -224,6 +224,32 @@ def test_a_reader_that_fails_or_returns_anything_ends_nothing(given: object) -> 
         scene.wake(b"x", elapsed_ns=100_000_000)
     assert scene.own.word("beat_ns").get() == scene.clock()
     assert len(odd(scene)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("text", "sign"),
+    [
+        ("it printed its boot text", "it printed its boot text"),
+        ("x" * 300, "x" * 57 + "..."),
+        ("\n\x1b" * 2, "????"),
+        ("\N{ROBOT FACE}" * 60, "\N{ROBOT FACE}" * 60),
+        ("\ud800", "?"),
+        (None, "None"),
+    ],
+    ids=["usual", "long", "unprintable", "four bytes each", "no UTF-8", "no text"],
+)
+def test_a_restart_of_an_own_board_stops_with_any_text(text: Any, sign: str) -> None:
+    scene = own(lambda wire: [wire.Wheels((0.0, 0.0), (0.0, 0.0)), wire.Restarted(text)])
+    scene.gate["enabled"] = True
+    scene.wake(b"x", elapsed_ns=20_000_000)
+    assert causes(scene) == [f"the board restarted: {sign}"]
+
+
+def test_the_ring_has_room_for_any_cause() -> None:
+    ring = layout.SEGMENT_BY_NAME[layout.TELEMETRY].records["causes"]
+    for row in BY_NUMBER.values():
+        longest = row(*("\N{ROBOT FACE}" * 100 if of is str else of(1) for _, of in row.parameters))
+        assert len(longest.pack()) <= ring.capacity
 
 
 def test_a_reader_that_never_ends_is_cut_off() -> None:
