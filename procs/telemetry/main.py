@@ -49,6 +49,9 @@ ODOMETRY_NS = 20_000_000
 more often, and always right after odometry."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published while it does not change, in ns."""
+TURN_RATE_NS = 200_000_000
+"""How long a turn rate of the gyro may be compared with the commanded one, in ns. An IMU that has fallen silent would
+otherwise go on turning at its last rate."""
 BIAS_NS = 80_000_000
 """How often the gyro's bias is published, in ns. It must come at 10 Hz or faster. But it is published only when
 something else wakes telemetry, so with a value of 100 ms it would come every 105 to 110 ms. The state of the wheels is
@@ -168,7 +171,7 @@ class Telemetry:
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
         self._scale_noted: set[str] = set()
         """The levels (`warning`, `info`) for which a difference of the speeds was logged already."""
-        self._turn_radps = 0.0
+        self._turn_radps, self._turn_ns = 0.0, 0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
         self._watch_others(context)
@@ -385,7 +388,7 @@ class Telemetry:
 
     def _on_imu(self, sample: interface.Value, t_ns: int) -> None:
         raw_radps, found = sample
-        self._turn_radps = found[5]
+        self._turn_radps, self._turn_ns = found[5], t_ns
         note = self._gyro.add(raw_radps, t_ns)
         self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, found)), t_ns)
         if not self._read_back.judged_ns:
@@ -466,7 +469,8 @@ class Telemetry:
         """Compare the measured speeds with the commanded ones. A difference is logged only once for each level
         (warning, info)."""
         measured, judge = self._measured, self._scale
-        turn_radps = self._turn_radps if self._gyro.calibrated else None
+        turns = self._gyro.calibrated and now_ns - self._turn_ns <= TURN_RATE_NS
+        turn_radps = self._turn_radps if turns else None
         changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
         if changed or now_ns - self._scale_ns >= SCALE_NS:
             self._scale_ns = now_ns

@@ -150,7 +150,8 @@ class ScaleJudge:
         something in `wrong` or in `remarks` where nothing was before, or the other way round.
 
         `velocity`: the commanded velocity. `speeds_rps`: the wheels' speeds by wire id, as the board reported them at
-        `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known.
+        `read_ns`. `turn_radps`: the turn rate that the gyro measures, or None while its bias is not known or it
+        is silent.
         """
         elapsed_s, self._last_ns = (now_ns - self._last_ns) * 1e-9, now_ns
         if not 0 < elapsed_s < 1:

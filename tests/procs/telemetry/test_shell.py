@@ -15,7 +15,7 @@ from failstop.procs.telemetry import pad
 from failstop.procs.telemetry.battery import LOW_READINGS
 from failstop.procs.telemetry.main import GateState
 from tests.support.stage import MS
-from tests.support.telemetry_scene import FOLDER, Scene
+from tests.support.telemetry_scene import FOLDER, S, Scene
 
 MODE = 0x2000
 X = 0x0100
@@ -191,6 +191,19 @@ def test_tones_are_requests_for_frames_that_are_not_motion_and_off_by_default(on
     assert requests == [(records.PAD_FRAME, scene.board.buzzer(*sound)) for sound in sounds] * on
     assert all(frame[2] == framing.BUZZER for _, frame in requests)
     assert scene.rung("gate_bell")
+
+
+def test_a_gyro_that_fell_silent_is_compared_with_no_command(scene: Scene) -> None:
+    scene.stand(3.1)
+    scene.gate |= {"enabled": True, "body_vel": [0.0, 0.0, 1.0]}
+    scene.stand(1.0, z_dps=0.25 + math.degrees(1.0))
+    scene.notes()
+    scene.gate["body_vel"] = [0.0, 0.0, 0.3]
+    scene.turn(elapsed_ns=5 * S)
+    assert scene.notes() == [], "its last turn rate fits the command before"
+    scene.gate["body_vel"] = [0.0, 0.0, 1.0]
+    scene.stand(2.0, z_dps=0.25 + math.degrees(3.0))
+    assert any("as the gyro measures it" in note for note in scene.notes()), "it is heard again"
 
 
 def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:
