@@ -159,7 +159,7 @@ SEGMENTS = (
             *_beat(),
             _latest("imu", records.IMU, "clients"),  # corrected: the bias is taken off the rate
             _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known about the wheels
-            _latest("battery", records.BATTERY, "clients"),
+            _latest("battery", records.BATTERY, "its successor, clients"),
             _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _word("port_number", "supervisor"),  # the number of the port that it reads; 0: none
             _word("restarts", "port_owner"),  # how often the board has restarted

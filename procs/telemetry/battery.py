@@ -82,12 +82,11 @@ class Charger:
     """Detects the charger from a step in the voltage while the motors put no load on it. On the robot, the step is +249
     mV for plugging in and -226 mV for unplugging."""
 
-    def __init__(self, settings: Settings, state: int = UNDECIDED) -> None:
-        """`state`: the state that the previous telemetry process of this run has found, if there was one."""
+    def __init__(self, settings: Settings) -> None:
         self._step_mv = settings["battery.step_mv"]
         self._readings: list[tuple[int, int]] = []
         self._disabled_since_ns: int | None = None
-        self.state = state
+        self.state = UNDECIDED
 
     def follow(self, enabled: bool, now_ns: int) -> None:
         if enabled:

@@ -56,8 +56,6 @@ BIAS_NS = 80_000_000
 """How often the gyro's bias is published, in ns. It must come at 10 Hz or faster. But it is published only when
 something else wakes telemetry, so with a value of 100 ms it would come every 105 to 110 ms. The state of the wheels is
 published as often as the bias, and also with the next odometry after a report about the wheels."""
-CHARGER_FILE = "charger"
-CHARGER = "charger state"
 BATTERY_LOG = "battery log"
 
 
@@ -147,7 +145,7 @@ class Telemetry:
         folder = state_directory(context.instance, os.environ, settings.text("battery.directory"))
         self._files = StateFiles(folder)
         self._low_battery = LowBattery(settings)
-        self._charger = Charger(settings, self._known_charger_state())
+        self._charger = Charger(settings)
         self._log = BatteryLog(settings)
         self._read_back = ReadBack()
         self._measured = Measured(self._board.reports, self._board.most_rps)
@@ -221,7 +219,10 @@ class Telemetry:
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
-        """Continue with the bias and the pose of the previous telemetry process."""
+        """Continue with the charger's state, the bias and the pose of the previous telemetry process. The charger's
+        state is not kept longer, because nobody sees a charger that is plugged in or out while no service runs."""
+        if entry := own.latest_reader("battery").read():
+            _, self._charger.state = records.BATTERY.unpack(entry[2])
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:
@@ -239,11 +240,6 @@ class Telemetry:
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
             if all(value == value for value in (*speeds, *turns)):  # false for NaN, which means not reported
                 self._measured.inherit(turns, speeds, read_ns)
-
-    def _known_charger_state(self) -> int:
-        """Return the state of the charger, as an earlier telemetry process has saved it."""
-        name = self._files.read(CHARGER, CHARGER_FILE).strip()
-        return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
         """Handle one wake-up. IMU samples are published at once. If only IMU samples have come, the rest of the turn
@@ -495,7 +491,6 @@ class Telemetry:
         self._raise(self._low_battery.add(millivolts, t_ns))
         if self._charger.add(millivolts, t_ns):
             name = records.PLUGGED[self._charger.state]
-            self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
             text = f"charger {name}: the battery's voltage jumped to {millivolts} mV"
             self._note("charger", text, {"state": name, "battery_mv": millivolts})
         self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)

@@ -1,5 +1,5 @@
-"""Files in the state directory. A thread writes them, so that a slow disk can't hold up the loop. Each write happens
-completely or not at all. A failed write only adds a line to the journal."""
+"""Files in the state directory. A thread writes them, so that a slow disk can't hold up the loop. A line is written
+whole or not at all. A failed write only adds a line to the journal."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ Job = tuple[str, Callable[[], None]]
 THREAD_STACK_BYTES = 256 * 1024
 """The stack size of the thread that writes. It is small, because the whole stack counts against the limit of locked
 memory, although only the part that is used is locked."""
-MOST_READ = 4096
-"""The most bytes that read() takes from a file. The files that are read hold only one line."""
 MOST_JOBS = 100
 """How many jobs may wait for the disk. If this many wait already, a new job is dropped. With one line every 10 s, this
 is enough for a quarter of an hour."""
@@ -40,16 +38,8 @@ def append_line(path: str, header: str, line: str) -> None:
         os.close(fd)
 
 
-def write_whole(path: str, text: str) -> None:
-    """Replace the content of a file. After an OSError the old content is unchanged."""
-    os.makedirs(os.path.dirname(path), exist_ok=True)
-    draft = f"{path}.new"
-    durable.write_draft(draft, text.encode())
-    durable.publish(draft, path)
-
-
 class StateFiles:
-    """Reads and writes the files. Only _work() runs in the thread; everything else runs in the loop."""
+    """Writes the files. Only _work() runs in the thread; everything else runs in the loop."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
@@ -60,27 +50,9 @@ class StateFiles:
         be started, the loop uses it."""
         self._running = False
 
-    def read(self, what: str, name: str) -> str:
-        """Return the text of a file, or an empty text if it does not exist or can't be read. Call this only at the
-        start, because it waits for the disk. `what`: what the journal calls this file."""
-        try:
-            fd = durable.open_own(os.path.join(self.folder, name))
-            try:
-                return os.read(fd, MOST_READ).decode("utf-8", "replace")
-            finally:
-                os.close(fd)
-        except FileNotFoundError:
-            return ""
-        except OSError as error:
-            self._notes.put((f"{what} can't be read: {error}", ""))
-            return ""
-
     def append(self, what: str, name: str, header: str, line: str) -> None:
         """Append a line to a file; the thread does it soon. `what`: what the journal calls this file."""
         self._put(what, lambda: append_line(os.path.join(self.folder, name), header, line))
-
-    def replace(self, what: str, name: str, text: str) -> None:
-        self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[tuple[str, str]]:
         """Return the new lines for the journal, as (text, what to do about it)."""

@@ -30,7 +30,8 @@ NOON = 1_773_662_400.0
 
 def charger(state: int = UNDECIDED, **changed: object) -> Charger:
     """Disabled since long, with these settings."""
-    made = Charger(Settings(changed), state)
+    made = Charger(Settings(changed))
+    made.state = state
     made.follow(False, -100 * S)
     return made
 

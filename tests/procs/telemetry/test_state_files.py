@@ -1,24 +1,23 @@
-"""Files under the state directory: whole or not at all, and never a crash."""
+"""Files under the state directory: whole lines or none, and never a crash."""
 
 from __future__ import annotations
 
-import errno
 import os
 import resource
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from failstop.messages import layout
-from failstop.procs.telemetry.state_files import MOST_JOBS, StateFiles, append_line, write_whole
+from failstop.procs.telemetry.state_files import MOST_JOBS, append_line
 from tests.support.stage import Stage
 from tests.support.telemetry_scene import FOLDER, S
 
 HEADER = "a,b\n"
-LOG, CHARGER = f"{FOLDER}/log.csv", f"{FOLDER}/charger"
+LOG = f"{FOLDER}/log.csv"
 
 
 @pytest.fixture
@@ -87,50 +86,18 @@ def test_a_planted_link_gets_no_line(tmp_path: Path) -> None:
     assert victim.read_text() == "precious\n"
 
 
-@pytest.mark.parametrize("step", ["fsync", "rename", ""])
-def test_a_file_is_replaced_whole_or_stays_as_it_was(stage: Stage, module: Any, step: str) -> None:
-    module.write_whole(CHARGER, "plugged\n")
-    stage.machine.at_seam = refused(step, OSError(errno.EIO, "Input/output error"))
-    with pytest.raises(OSError, match="Input/output error") if step else nullcontext():
-        module.write_whole(CHARGER, "unplugged\n")
-    stage.machine.at_seam = None
-    assert stage.read_text(CHARGER) == ("plugged\n" if step else "unplugged\n")
-    assert stage.os.listdir(FOLDER) == ["charger"]
-
-
-def test_a_disk_that_is_full_within_a_file_leaves_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "charger"
-    path.write_text("plugged\n")
-    with longest(4), pytest.raises(OSError, match="File too large"):
-        write_whole(str(path), "unplugged\n")
-    assert path.read_text() == "plugged\n"
-    assert os.listdir(tmp_path) == ["charger"]
-
-
-def test_a_file_is_on_the_disk_before_it_has_its_name(stage: Stage, module: Any) -> None:
-    done: list[str] = []
-    stage.os.mkdir(FOLDER)
-    folder: Any = stage.machine.root.names[FOLDER[1:]]
-
-    def noted(thread: Any, call: str, about: Any) -> None:
-        if call == "fsync":
-            names = {node: name for name, node in (*folder.names.items(), (FOLDER, folder))}
-            done.append(names[thread.process.files[about[0]].node])
-        elif call == "rename":
-            done.append(call)
-
-    stage.machine.at_seam = noted
-    module.write_whole(CHARGER, "plugged\n")
-    assert done == ["charger.new", "rename", FOLDER]
+@pytest.mark.timeout(20)
+def test_a_pipe_in_the_place_of_a_file_holds_nothing_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(OSError, match="a FIFO, not a regular file"):
+        append_line(str(tmp_path / "log.csv"), HEADER, "3,4\n")
 
 
 def test_the_thread_writes_in_order(stage: Stage, files: Any) -> None:
     for i in range(20):
         files.append("log", "log.csv", HEADER, f"{i},0\n")
-    files.replace("charger state", "charger", "plugged\n")
     stage.clock.now_ns += 1
     assert stage.read_text(LOG) == HEADER + "".join(f"{i},0\n" for i in range(20))
-    assert files.read("charger state", "charger") == "plugged\n"
     assert files.notes() == []
 
 
@@ -154,21 +121,6 @@ def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
     for _ in range(2):
         files.append("log", "log.csv", HEADER, "1,2\n")
     assert len(files.notes()) == 1
-
-
-@pytest.mark.timeout(20)
-@pytest.mark.parametrize(
-    ("make", "said"), [(os.mkdir, "charger state can't be read: "), (os.mkfifo, "a FIFO, not a regular file")]
-)
-def test_a_file_that_is_not_there_is_empty_and_no_file_a_note(
-    tmp_path: Path, make: Callable[[Path], None], said: str
-) -> None:
-    files = StateFiles(str(tmp_path))
-    assert files.read("charger state", "charger") == ""
-    assert files.notes() == []
-    make(tmp_path / "charger")
-    assert files.read("charger state", "charger") == ""
-    assert said in files.notes()[0][0]
 
 
 def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
