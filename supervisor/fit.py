@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 
 from failstop.board.interface import Board
-from failstop.board.kinds import board_of
+from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
@@ -26,6 +26,7 @@ def checked_board(settings: Settings, path: str | None) -> Board:
         raise SettingError(f"{path or 'settings'}: {text}")
     if wrong := wrong_limits(settings, board):
         raise SettingError(f"{path or 'settings'}: {wrong}")
+    _check_refresh(settings, path)
     return board
 
 
@@ -39,6 +40,17 @@ def wrong_limits(settings: Settings, board: Board) -> str:
         text = f"the board's smallest speed of a wheel is {slowest:.2g} m/s, and the limits are {fastest * turn_m:.2g}"
         return f"{text}: raise [limits], or see board.per_rps"
     return ""
+
+
+def _check_refresh(settings: Settings, path: str | None) -> None:
+    """Check that the board's own watchdog does not stop the wheels between two frames. Twice in its time a frame must
+    be due, because one may be late. Raises SettingError."""
+    kind, refresh_s = settings.text("board.kind"), settings["gate.refresh_s"]
+    acts_ns = wire_of(kind).watchdog.acts_ns if is_described(kind) else 0
+    if 0 < acts_ns < 2 * settings.ns("gate.refresh_s"):
+        text = f"gate.refresh_s = {refresh_s:g} s: the board's own watchdog stops the wheels {acts_ns / 1e9:g} s after"
+        most = f"set gate.refresh_s to {acts_ns / 2e9:g} or less"
+        raise SettingError(f"{path or 'settings'}: {text} the last frame: {most}")
 
 
 def usual_baud(kind: str) -> int:

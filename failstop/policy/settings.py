@@ -81,7 +81,8 @@ DECLARED = (
         "sends commands less often; each source can have its own"),
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0,
         "while motion is enabled, the speeds are sent to the board at least this often, even if they have not "
-        "changed. Lower it for a board that stops its wheels when it hears nothing for a while"),
+        "changed. It may be at most half of the time after which the board's own watchdog stops the wheels; lower it "
+        "if yours stops them sooner"),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0,
         "how long the gate or the supervisor may be silent before failstop stops the robot. If you don't set it, it "
         "is up to 0.2 s without real-time rights, because a busy computer then runs the processes later"),

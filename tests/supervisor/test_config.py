@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop import config
-from failstop.board.kinds import wire_of
+from failstop.board.kinds import watchdog_of, wire_of
 from failstop.cli import main as cli
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.layouts import BOARDS
@@ -408,6 +408,30 @@ def test_what_a_board_does_not_take_is_refused_with_the_file_it_is_in(path: str 
         with pytest.raises(SettingError) as error:
             checked_board(settings, path)
         assert str(error.value) == f"{path or 'settings'}: {text}"
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_speeds_must_be_sent_twice_in_the_time_of_the_board_s_own_watchdog(kind: str) -> None:
+    acts_s, _ = watchdog_of(kind)
+    most_s = min(acts_s / 2 or 1.0, 1.0)
+    checked_board(Settings({"board.kind": kind, "gate.refresh_s": most_s}), None)
+    if most_s < 1.0:
+        with pytest.raises(SettingError) as error:
+            checked_board(Settings({"board.kind": kind, "gate.refresh_s": most_s + 0.001}), None)
+        why = f"the board's own watchdog stops the wheels {acts_s:g} s after the last frame"
+        step = f"set gate.refresh_s to {most_s:g} or less"
+        assert str(error.value) == f"settings: gate.refresh_s = {most_s + 0.001:g} s: {why}: {step}"
+
+
+@pytest.mark.starts
+def test_the_watchdog_of_an_own_board_counts_too(tmp_path: Path) -> None:
+    folder = Path(own_folder(tmp_path / "tank"))
+    wire = folder / "wire.py"
+    text = wire.read_text()
+    assert text.count("after_ns=2000 * _MS") == 1
+    wire.write_text(text.replace("after_ns=2000 * _MS", "after_ns=300 * _MS"))
+    with pytest.raises(SettingError, match=r"gate\.refresh_s = 0\.2 s: .* 0\.3 s after .*: set .* to 0\.15 or less$"):
+        checked_board(Settings({"board.kind": str(folder)}), None)
 
 
 @pytest.mark.parametrize("kind", BOARDS)

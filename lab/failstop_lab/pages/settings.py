@@ -8,7 +8,7 @@ from failstop.policy.settings import DECLARED, FAMILIES, LONGEST_NAME, MOST_OF_A
 
 TOGETHER = (
     "`gate.period_s` < `gate.lease_s` < `gate.command_timeout_s` and every source's `timeout_s`",
-    "`gate.period_s` <= `gate.refresh_s`",
+    "`gate.period_s` <= `gate.refresh_s` <= half of the time after which the board's own watchdog acts",
     "`restart.backoff_s` < `restart.window_s`",
     "no two wheels have the same id; a robot of two or three wheels has no settings of the others",
     'a `board.kind` of two speeds has `wheels.layout = "differential"`; only '
