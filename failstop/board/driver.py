@@ -70,6 +70,9 @@ class DriverMotion(Data):
     steering_rad: float | None = None
     """The angle of the steered wheels in radians, positive to the left. None if the base has no steered wheels, or if
     the speeds of the wheels already say how the base turns."""
+    renews: bool = True
+    """False for a frame that changes only the steering. Its speeds are those that the driver commanded before, and stay
+    as old as they were, so a driver that only steers can't keep the wheels turning."""
 
 
 class DriverAnswer(Data):

@@ -75,6 +75,9 @@ class Talk:
         self._sent_ns: int | None = None
         """The `t_ns` of the newest command that was made from the current motion. None if no command was made from it
         yet."""
+        self._over = False
+        """True if the guard was held up for so long that the service has let the motion expire. The wheels then turn
+        only for a new motion of the driver."""
         self._frames: dict[str, bytes] = {}
         """The driver's waiting frames that are not motion, by kind. The oldest kind comes first."""
         self._framed_ns = -FRAME_EVERY_NS
@@ -112,14 +115,15 @@ class Talk:
             if isinstance(row, DriverRefusal):
                 self.refuse(row.what, row.why)
                 why = f"{row.what}: {row.why}"
-            elif isinstance(row, DriverMotion):
+            elif isinstance(row, DriverMotion) and row.renews:
                 self.refused = why if row.refused else ""
             elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
                 self._frames[row.kind] = row.data
+        if renewing := [row for row in motions if row.renews]:
+            self._move(renewing[-1].speeds, since_ns)
+            self._lets_go = self._let_go_by(renewing)
         if motions:
-            self._move(motions[-1].speeds, since_ns)
-            self._steering_rad = motions[-1].steering_rad
-            self._lets_go = self._let_go_by(motions)
+            self._steer(motions[-1].steering_rad, now_ns)
         late = now_ns - since_ns > self._language.patience_ns
         if late and answers:
             self._late_ns, self._late_at_ns = now_ns - since_ns, now_ns
@@ -153,7 +157,15 @@ class Talk:
         if len(found) != self._wheels or not all(map(isfinite, found)):
             self.refuse(NOT_WHEELS, f"{self._wheels} finite speeds were expected, so the wheels were stopped")
             found = (0.0,) * self._wheels
-        self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
+        self._speeds, self._written_ns, self._sent_ns, self._over = found, since_ns, None, False
+
+    def _steer(self, steering_rad: float | None, now_ns: int) -> None:
+        """Take the angle of the steered wheels. While the motion counts, the angle is sent at once. Otherwise it takes
+        effect with the next motion."""
+        changed, self._steering_rad = steering_rad != self._steering_rad, steering_rad
+        counts = self._sent_ns is not None and now_ns - self._sent_ns < self._source_ns
+        if changed and counts and not self._over:
+            self._sent_ns = None
 
     def refuse(self, what: str, why: str) -> None:
         """Add a refusal to `refusals`, once for each `what` and for at most MOST_REFUSALS of them. `what`: the driver's
@@ -172,14 +184,15 @@ class Talk:
         The service lets a command count only for its own timeout, which may be shorter than the driver's. So the guard
         repeats the command while the driver's motion counts. The last command's `t_ns` makes the command expire exactly
         when the motion does. So the wheels stop in time even if the guard hangs."""
-        if self._speeds is None:
+        if self._speeds is None or self._over:
             return None
         last_ns, sent_ns = self._last_ns, self._sent_ns
         t_ns = min(now_ns, last_ns)
         if sent_ns is not None:
             early = t_ns < last_ns and t_ns - sent_ns < self._renew_ns
             # If the guard itself was held up, it renews nothing, because the service would take it for a new command.
-            if t_ns <= sent_ns or early or now_ns - sent_ns > self._source_ns:
+            self._over = now_ns - sent_ns > self._source_ns
+            if t_ns <= sent_ns or early or self._over:
                 return None
         self._sent_ns = t_ns
         return Command(self._speeds, t_ns, self._steering_rad)
@@ -199,7 +212,7 @@ class Talk:
         return frame_ns if motion_ns is None else min(motion_ns, frame_ns)
 
     def _motion_due_ns(self) -> int | None:
-        if self._speeds is None:
+        if self._speeds is None or self._over:
             return None
         if self._sent_ns is None:
             return self._written_ns
@@ -218,5 +231,5 @@ class Talk:
         return not self._lets_go
 
     def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:
-        own = [any(row.speeds) for row in motions if not row.refused]
+        own = [any(row.speeds) for row in motions if row.renews and not row.refused]
         return not own[-1] if own else self._lets_go

@@ -143,6 +143,14 @@ def test_what_is_refused_is_named_and_moves_nothing(chunk: bytes, what: str) -> 
     assert answers(made(), chunk) == []
 
 
+@pytest.mark.parametrize("chunk", [frame(MOTOR, 1, 0), frame(MOTOR, 3, 0), frame(MOTOR, 3, 0xF0)])
+def test_a_motor_frame_that_names_no_motor_renews_no_speed(chunk: bytes) -> None:
+    language = made()
+    language.wrote(speeds((0, 1.0)), 0)
+    assert language.wrote(chunk, 0) == []
+    assert commanded(speeds((0, 1.0)) + chunk) == [(1.0, 0, 0, 0)] * 2, "nor does it change one on the board"
+
+
 def test_the_buzzer_s_tones_are_passed_on() -> None:
     tone = frame(2, 0x6C, 7, 100, 0, 100, 0, 1, 0)
     [row] = made().wrote(tone, 0)

@@ -13,7 +13,7 @@ S = 1_000 * MS
 
 class Words:
     """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused,
-    `#` is refused and stops the wheels, and `=a1` is a frame of the kind `a`."""
+    `#` is refused and stops the wheels, `~0.5` steers without a speed, and `=a1` is a frame of the kind `a`."""
 
     openers = 1
     patience_ns = 1 * S
@@ -21,6 +21,7 @@ class Words:
 
     def __init__(self) -> None:
         self.asked = 0
+        self._speeds = [0.0, 0.0]
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
         return [self._row(word) for word in chunk.split()]
@@ -33,9 +34,12 @@ class Words:
             return DriverRefusal("shouting", "nothing was done")
         if word == b"#":
             return DriverMotion([0.0, 0.0], refused=True)
+        if word.startswith(b"~"):
+            return DriverMotion(self._speeds, steering_rad=float(word[1:]), renews=False)
         if word.startswith(b"="):
             return DriverFrame(word, word[1:2].decode())
-        return DriverMotion([float(part) for part in word.split(b",")])
+        self._speeds = [float(part) for part in word.split(b",")]
+        return DriverMotion(self._speeds)
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         return [chunk.upper()]
@@ -71,6 +75,43 @@ def test_a_motion_counts_for_as_long_as_the_setting_says(timeout_ms: int, source
     assert made.due_ns() is None
 
 
+@pytest.mark.parametrize(("timeout_ms", "source_ms"), [(300, 300), (50, 300), (1000, 300)])
+def test_steering_reaches_the_wheels_and_keeps_no_speed(timeout_ms: int, source_ms: int) -> None:
+    made = talk(timeout_ms, source_ms)
+    made.wrote(b"5,5", 0, 0)
+    found: list[tuple[int, Command]] = []
+    for at_ms in range(0, 3000, 10):
+        made.wrote(b"~%g" % (at_ms / 1000), at_ms * MS, at_ms * MS)
+        if command := made.command(at_ms * MS):
+            found.append((at_ms, command))
+    assert counts_until_ms(found, source_ms) == timeout_ms
+    assert {command.speeds for _, command in found} == {(5.0, 5.0)}
+    steered = [at_ms for at_ms, command in found if command.steering_rad == at_ms / 1000]
+    assert steered == list(range(0, timeout_ms, 10)), "each angle while the speed counts, and none afterwards"
+    assert made.silent_ns(3 * S) == 3 * S - timeout_ms * MS
+    assert made.due_ns() is None
+
+
+def test_an_angle_takes_effect_with_the_speed_of_the_same_chunk_and_with_the_next_one() -> None:
+    made = talk()
+    made.wrote(b"5,5 ~0.1", 0, 0)
+    command = made.command(0)
+    assert command
+    assert (command.speeds, command.t_ns, command.steering_rad) == ((5.0, 5.0), 0, 0.1)
+    made.wrote(b"~0.2", 1 * S, 1 * S)
+    assert made.command(1 * S) is None
+
+
+@pytest.mark.parametrize(
+    ("written", "drove"), [(b"5,5 ~0.1", True), (b"5,5 # ~0.1", True), (b"5,5 0,0 ~0.1", False), (b"~0.1", False)]
+)
+def test_steering_neither_begins_to_drive_nor_ends_it(written: bytes, drove: bool) -> None:
+    made = talk()
+    made.wrote(written, 0, 0)
+    assert made.holds is drove
+    assert made.ended(b"~0.2", 1) is drove
+
+
 def test_the_newest_motion_counts_alone() -> None:
     made = talk()
     made.wrote(b"5,5 7,7 9,9", 10 * MS, 10 * MS)
@@ -100,9 +141,15 @@ def test_after_a_stall_of_its_own_the_guard_renews_nothing() -> None:
     made.wrote(b"5,5", 0, 0)
     assert made.command(0)
     assert made.command(100 * MS)
+    made.wrote(b"~0.1", 1000 * MS, 100 * MS)
     assert made.command(1000 * MS) is None
-    made.wrote(b"5,5", 1010 * MS, 1000 * MS)
-    assert made.command(1010 * MS)
+    assert made.due_ns() is None, "else the guard would wake without end, and find nothing to do"
+    made.wrote(b"~0.2", 1005 * MS, 1000 * MS)
+    assert made.command(1005 * MS) is None
+    assert made.command(2300 * MS) is None
+    made.wrote(b"5,5", 2310 * MS, 2300 * MS)
+    assert made.command(2310 * MS)
+    assert made.due_ns() == 2410 * MS
 
 
 def test_each_question_has_one_answer_in_order_and_after_a_stall_the_newest_alone() -> None:

@@ -88,12 +88,18 @@ def test_packets_may_come_split_and_glued() -> None:
     for cut in range(len(text)):
         language = made()
         rows = language.wrote(text[:cut], 0) + language.wrote(text[cut:], 0)
-        assert [tuple(row.speeds) for row in rows if isinstance(row, DriverMotion)] == [
-            (900, 0),
-            (900, 5),
-            (900, 5),
-            (0, 5),
-        ]
+        assert [tuple(row.speeds) for row in rows if isinstance(row, DriverMotion)] == [(900, 0), (900, 5), (0, 5)]
+
+
+@pytest.mark.parametrize("settings", [PAIR, CAR], ids=["two motors", "a car"])
+def test_what_names_no_speed_renews_none(settings: dict[str, object]) -> None:
+    """pyvesc writes ALIVE from a thread of its own, also while its main thread hangs, and a car's servo may be steered
+    by another node than the one whose speed it is."""
+    language = made(settings)
+    language.wrote(packet(RPM, 1000), 0)
+    for chunk in (packet(ALIVE, 0, 1), wrapped(bytes((ALIVE,))), codec.VALUES, packet(SERVO, 400, 2)):
+        rows = language.wrote(chunk, 0)
+        assert [row for row in rows if isinstance(row, DriverMotion) and row.renews] == [], chunk
 
 
 @pytest.mark.parametrize(
@@ -147,6 +153,7 @@ def test_a_car_s_servo_and_speed_become_a_curve_within_its_limits() -> None:
     assert wz == pytest.approx(math.tan(angle) * vx / 0.33, rel=0.02)
     (turned,) = language.wrote(packet(SERVO, 530, 2), 0)
     assert isinstance(turned, DriverMotion)
+    assert (turned.speeds, turned.renews) == (row.speeds, False)
     assert scale.velocity(turned.speeds, turned.steering_rad)[2] == pytest.approx(0.0, abs=0.01)
     assert refusals(behind(RPM, 1000), CAR) == ["a packet for CAN id 1"]
 

@@ -138,15 +138,17 @@ class RrcDriver:
         )
 
     def _motion(self, entries: Iterable[tuple[int, float]]) -> list[Row]:
-        speeds = self._speeds.copy()
+        """Handle a motor frame that sets these speeds, as (motor, speed). A frame that names no motor sets no speed, so
+        it must not make the speeds newer."""
+        speeds, named = self._speeds.copy(), False
         for motor, rps in entries:
             if motor >= WHEELS:
                 return self._refuse(f"motor {motor + 1}", f"the board has {WHEELS}")
             if not isfinite(rps):
                 return self._refuse("a speed that is not a number", "the board would take it")
-            speeds[motor] = rps
+            speeds[motor], named = rps, True
         self._speeds = speeds
-        return [DriverMotion(tuple(speeds))]
+        return [DriverMotion(tuple(speeds))] if named else []
 
     def _servo(self, data: bytes) -> list[Row]:
         func = self._func

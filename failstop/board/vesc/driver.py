@@ -2,10 +2,12 @@
 
 A driver sets speeds in ERPM and the position of the servo, and asks for the firmware's version and for values
 (RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
-port, and the answers are passed back. A new speed leaves the servo where the driver sent it before. A brake current
-sets the motor's speed to zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is
-refused, and so is a position of the motor or a handbrake current. The wheels then stop, because failstop can't limit
-the speed that would result. Bytes that are not a packet are skipped as the firmware skips them.
+port, and the answers are passed back. A new speed leaves the servo where the driver sent it before. Only a speed keeps
+the wheels turning: a new position of the servo does not make the speed newer, and neither does ALIVE, which pyvesc
+writes from a thread of its own, even while the program's main thread hangs. A brake current sets the motor's speed to
+zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is refused, and so is a position of
+the motor or a handbrake current. The wheels then stop, because failstop can't limit the speed that would result. Bytes
+that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -80,7 +82,7 @@ class VescDriver:
         if command == codec.SERVO:
             return self._steer(data)
         if command == _ALIVE:
-            return [self._motion()]
+            return []
         if command == _BRAKE:
             return self._set(motor, 0.0)
         if command in (codec.RPM, *_NO_SPEED) and len(data) >= _VALUE.size:
@@ -97,8 +99,8 @@ class VescDriver:
         self._speeds[motor] = erpm
         return [self._motion()]
 
-    def _motion(self) -> DriverMotion:
-        return DriverMotion(tuple(self._speeds), steering_rad=self._angle_rad)
+    def _motion(self, *, renews: bool = True) -> DriverMotion:
+        return DriverMotion(tuple(self._speeds), steering_rad=self._angle_rad, renews=renews)
 
     def _stopped(self) -> list[Row]:
         self._speeds = [0.0] * len(self._speeds)
@@ -112,7 +114,7 @@ class VescDriver:
         centre, per_rad = self._steering
         (place,) = _PLACE.unpack_from(data)
         self._angle_rad = (max(0, min(place, codec.WAY_US)) + codec.FIRST_US - centre) / per_rad
-        return [self._motion()] if any(self._speeds) else []
+        return [self._motion(renews=False)] if any(self._speeds) else []
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:
