@@ -129,7 +129,8 @@ class Guard:
 
     def _wait_s(self, now_ns: int) -> float:
         due_ns = now_ns + (LISTEN_NS if self._door.count else IDLE_NS)
-        motion_ns = self._talk.due_ns() if self._talk else None
+        # While the port is open too many times, nothing is sent, so nothing is due either.
+        motion_ns = self._talk.due_ns() if self._talk and not self._door.crowded else None
         return max(0, min(due_ns, due_ns if motion_ns is None else motion_ns) - now_ns) / 1e9
 
     def _once(self, line: str) -> None:

@@ -223,6 +223,18 @@ def test_a_program_that_opens_it_twice_is_told_what_to_do(desk: Desk) -> None:
     )
 
 
+def test_a_guard_whose_port_was_opened_too_often_still_sleeps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is sent to the service then, so the motion that waits to be sent must not wake the guard."""
+    driver = desk.script()
+    desk.unseen(driver, OPEN, OPEN.replace("port =", "other ="), DRIVE % (7, 7), "os.write(port, b'e' + bytes([13]))")
+    desk.says("has opened the port 2 times")
+    desk.turn()
+    waits, wait = [], desk.door.wait
+    monkeypatch.setattr(desk.door, "wait", lambda seconds: waits.append(seconds) or wait(seconds))
+    desk.turn()
+    assert min(waits) > 0.004, waits
+
+
 @AS_ROOT
 @pytest.mark.parametrize("ends", ["dies", "loses its terminal", "outlives the guard"])
 def test_a_driver_that_ends_while_root_has_the_port_too_may_have_driven_whatever_root_wrote(
