@@ -13,6 +13,7 @@ import random
 import struct
 import zlib
 from argparse import Namespace
+from binascii import crc_hqx
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -429,6 +430,8 @@ TARGETS: dict[str, Target] = {
             b"\7t20180000803F00000000\rt0028FFFFFFFFFFFFFFFD\rt2018123\rt0018FFFFFFFFFFFFFFFE\rt1018"
             + b"0" * 16
             + b"\r",
+            b'\7{"T":132,"IO4":["a"]}\n{"T":3,"lineNum":{"a":1}}\n{"T":132,"IO4":[1],"IO5":null}\n',
+            b"\5\3\1\0\x0d" + bytes(255) + crc_hqx(b"\x0d" + bytes(255), 0).to_bytes(2, "big") + b"\3",
             b"\5" + b"".join(map(wrapped, (b"\x08\0\0\3\xe8", b"\x22\1\x08\xff\xff\xfd\x44", b"\6\0\0\7\xd0", b"\4"))),
         ),
     ),

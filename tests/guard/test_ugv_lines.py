@@ -172,6 +172,9 @@ def test_a_light_or_gimbal_moves_no_wheel_even_with_a_byte_lost_or_cut_off_befor
         b'{"T":3,"Text":"a quote \\" in it"}\n',
         b'{"T":3,"Text":"%s"}\n' % (b"x" * 33),
         b'{"T":132,"IO4":[1]}\n',
+        b'{"T":132,"IO4":["a"]}\n',
+        b'{"T":132,"IO4":{"a":1}}\n',
+        b'{"T":3,"lineNum":{"a":1}}\n',
         b'{"T":132,"IO4":true}\n',
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from binascii import crc_hqx
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -136,6 +137,25 @@ def test_what_would_turn_a_motor_without_a_speed_stops_both(chunk: bytes, what: 
 def test_what_is_refused_is_named_and_moves_nothing(chunk: bytes, what: str) -> None:
     assert refusals(chunk) == [what]
     assert motions(chunk) == []
+
+
+def longer(payload: bytes) -> bytes:
+    """A packet whose length takes two bytes, as the firmware takes it from 255 bytes on."""
+    crc = crc_hqx(payload, 0).to_bytes(2, "big")
+    return b"\3" + len(payload).to_bytes(2, "big") + payload + crc + b"\3"
+
+
+@pytest.mark.parametrize("size", [255, 256, 300, 512])
+def test_a_long_packet_is_refused_by_its_name_or_taken_as_the_board_takes_it(size: int) -> None:
+    settings = longer(bytes((MCCONF,)) + bytes(size - 1))
+    assert refusals(settings) == ["command 13"]
+    assert refusals(packet(RPM, 5) + settings + packet(RPM, 6)) == ["command 13"]
+    speed = longer(bytes((RPM,)) + (900).to_bytes(4, "big") + bytes(size - 5))
+    assert motions(speed) == [(900, 0)] == commanded(speed)
+    assert refusals(speed) == []
+    answer = bytes((0,)) + bytes(size - 1)
+    (heard,) = made().heard(longer(answer), 0)
+    assert codec.payloads(heard) == ([answer], b"")
 
 
 def test_a_car_s_servo_and_speed_become_a_curve_within_its_limits() -> None:

@@ -84,7 +84,9 @@ _AUX_LINE = re.compile(rf'\{{"T":(?:{"|".join(map(re.escape, _AUX_T.values()))})
 
 def aux(kind: int, fields: dict[str, object]) -> bytes:
     """Return the line for lights, gimbal or display. `kind` is one of AUX. The fields are numbers and short texts.
-    Empty if the line would be too long or a field is not known."""
+    Empty if the line would be too long, a field is not known, or a value is neither a number nor a text."""
+    if not all(isinstance(value, (int, float, str)) for value in fields.values()):
+        return b""
     rest = "".join(f",{json.dumps(key)}:{json.dumps(_short(value))}" for key, value in fields.items())
     line = f'{{"T":{_AUX_T[kind]}{rest}}}\n'.encode()
     return b"" if check_aux(line) else line

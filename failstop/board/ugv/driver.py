@@ -51,7 +51,7 @@ _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
 _KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
 _NO_ARM = "failstop can't move an arm on this board yet"
-_ODD = "a field in it is not known, or too long, so it was not passed on"
+_ODD = "a field in it is not known, too long, or neither a number nor a text, so it was not passed on"
 
 
 class UgvDriver:

@@ -102,17 +102,19 @@ _LEAST = {SHORT: 1, LONG: 255}
 
 
 def packet(payload: bytes) -> bytes:
-    """Return the packet with this payload of at most 255 bytes."""
-    return bytes((SHORT, len(payload))) + payload + crc_hqx(payload, 0).to_bytes(2, "big") + bytes((END,))
+    """Return the packet with this payload of at most MOST_PAYLOAD bytes."""
+    head = SHORT if len(payload) < 256 else LONG
+    length = len(payload).to_bytes(head - 1, "big")
+    return bytes((head,)) + length + payload + crc_hqx(payload, 0).to_bytes(2, "big") + bytes((END,))
 
 
 def payloads(data: bytes) -> tuple[list[bytes], bytes]:
     """Return the payloads of all whole packets, and the bytes of an incomplete packet at the end."""
-    pieces = list(_pieces(data))
-    return [payload for payload, _ in pieces if payload], data[sum(size for _, size in pieces) :]
+    found = list(pieces(data))
+    return [payload for payload, _ in found if payload], data[sum(size for _, size in found) :]
 
 
-def _pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
+def pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
     """Yield (payload, length) for each whole packet. Bytes that belong to no packet are skipped one at a time, as the
     firmware does. Each skipped byte gives an empty payload and the length 1."""
     at = 0
@@ -255,7 +257,7 @@ class Replies(Reader):
         found: list[Sample] = []
         while True:
             done = 0
-            for payload, size in _pieces(self._kept):
+            for payload, size in pieces(self._kept):
                 done += size
                 if payload:
                     found += self._heard(payload)

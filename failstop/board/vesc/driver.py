@@ -55,9 +55,10 @@ class VescDriver:
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
         """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         data = self._wrote + chunk
-        found, self._wrote = codec.payloads(data)
-        rows = [row for payload in found for row in self._asked(payload, 0)]
-        if len(data) - len(self._wrote) > sum(len(codec.packet(payload)) for payload in found):
+        found = list(codec.pieces(data))
+        self._wrote = data[sum(size for _, size in found) :]
+        rows = [row for payload, _ in found if payload for row in self._asked(payload, 0)]
+        if not all(payload for payload, _ in found):
             rows.append(_NO_PACKET)
         return rows
 
