@@ -173,8 +173,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line, or drop it if printing would have to wait, for example on a paused terminal. If the guard waited,
-    the driver would have to wait too."""
-    with contextlib.suppress(OSError):
+    """Print a line. Drop it if printing would have to wait, for example on a paused terminal, because the driver would
+    have to wait too. Also drop it if it has characters that the output's encoding lacks."""
+    with contextlib.suppress(OSError, ValueError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(standard.folded(line), flush=True)

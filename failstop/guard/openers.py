@@ -22,11 +22,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import re
 import struct
 from collections import Counter
+from itertools import takewhile
 
 from failstop.data import Data
 from failstop.guard.news import Opener
+from failstop.messages.records import printable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -44,7 +47,11 @@ _EVENT = struct.Struct("iIII")
 _KCMP = {"x86_64": 312, "aarch64": 272}.get(os.uname().machine, -1)
 _KCMP_FILE = 0
 _libc = ctypes.CDLL(None, use_errno=True)
-INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
+_INTERPRETER = re.compile(r"(?:python|bash|sh|dash|(perl|ruby|node))[\d.]*")
+_CODE = re.compile(r"-[A-Za-z]*c")
+"""An option of Python or of a shell whose value is the program itself, for example -c or -lc."""
+_EXPRESSION = re.compile(r"-[A-Za-z]*e")
+"""The same for Perl, Ruby and Node."""
 
 
 class Watch:
@@ -230,14 +237,21 @@ def program(pid: int) -> str:
     """The name of a process's program, for people. For a script, it is the name of the script's file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
-            words = os.fsdecode(file.read(4096)).split("\0")
-        with open(f"/proc/{pid}/comm", encoding="utf-8", errors="replace") as file:
-            comm = file.read().strip()
+            command = file.read(4096)
+        return name_of(command, _read(f"/proc/{pid}/comm"))
     except OSError:
         return "a program"
+
+
+def name_of(command: bytes, comm: bytes) -> str:
+    """The name of a program, in characters that can be shown and encoded. `command` and `comm`: what /proc/PID/cmdline
+    and /proc/PID/comm hold. Any bytes may be in them."""
+    words = [printable(word) for word in command.decode("utf-8", "replace").split("\0")]
     first = os.path.basename(words[0])
-    if first.startswith(INTERPRETERS):
-        script = next((word for word in words[1:] if word and not word.startswith("-")), "")
-        if "-c" not in words[1:2] and script:
+    if interpreter := _INTERPRETER.fullmatch(first):
+        code = _EXPRESSION if interpreter[1] else _CODE
+        options = list(takewhile(lambda word: word.startswith("-"), words[1:]))
+        script = next((word for word in words[1 + len(options) :] if word), "")
+        if script and not any(map(code.fullmatch, options)):
             return os.path.basename(script)
-    return first or comm or "a program"
+    return first or printable(comm.decode("utf-8", "replace").strip()) or "a program"

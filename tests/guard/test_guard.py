@@ -19,6 +19,7 @@ from bench.guard_scene import GuardScene, Process
 from failstop import config, helpers
 from failstop.api.errors import FailstopError
 from failstop.board.driver import language_of
+from failstop.guard import command
 from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
@@ -214,6 +215,33 @@ def test_a_guard_whose_words_nobody_reads_still_answers_its_driver(tmp_path: Pat
                 assert os.read(driver, 64) == b"OK\r\n"
         finally:
             os.close(driver)
+    finally:
+        guard.close()
+
+
+def test_a_line_that_the_output_has_no_characters_for_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "output"
+    with path.open("w", encoding="ascii") as output:
+        monkeypatch.setattr(sys, "stdout", output)
+        for line in ("one", "f\xe4hrt", "two"):
+            command._print_line(line)
+        monkeypatch.undo()
+    assert path.read_text() == "one\ntwo\n"
+
+
+def test_a_driver_whose_name_is_not_text_is_shown(tmp_path: Path) -> None:
+    port = str(tmp_path / "port")
+    guard = Process(*helpers.python("failstop", "guard", "--dry-run", "--board", "arduino", "--path", port), errors=True)
+    try:
+        guard.until("your driver opens")
+        name = os.fsencode(tmp_path) + b"/\xff\xfe"
+        os.symlink(sys.executable, name)
+        code = "import os, sys; port = os.open(sys.argv[1], os.O_RDWR); os.write(port, b'm 7 7\\r'); os.read(port, 9)"
+        subprocess.run([name, "-c", code, port], check=True, timeout=20)
+        guard.until("\ufffd\ufffd (pid ")
+        guard.until("motion: wheels 7 7")
     finally:
         guard.close()
 

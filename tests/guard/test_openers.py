@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.guard.openers import Watch, dying, is_ending
+from failstop.guard.openers import Watch, dying, is_ending, name_of
 from failstop_lab.trial import wait_for
 
 
@@ -43,6 +43,36 @@ def test_other_terminals_say_nothing_of_it(watch: Watch) -> None:
     assert watch.events() == []
     for fd in (master, other):
         os.close(fd)
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (b"/usr/bin/python3.11\0-u\0/opt/driver.py\0--port\0/dev/x\0", "driver.py"),
+        (b"python\0driver.py\0-c\0x\0", "driver.py"),
+        (b"python\0-m\0pkg.driver\0", "pkg.driver"),
+        (b"python3\0-c\0import os\0", "python3"),
+        (b"python3\0-u\0-c\0import os\0", "python3"),
+        (b"python3\0-uc\0import os\0", "python3"),
+        (b"bash\0-lc\0cat /dev/x\0", "bash"),
+        (b"bash\0-e\0drive.sh\0", "drive.sh"),
+        (b"perl\0-e\0print 1\0", "perl"),
+        (b"node\0--inspect\0drive.js\0", "drive.js"),
+        pytest.param(b"./shuttle_node\0003\0", "shuttle_node", id="begins as an interpreter does"),
+        (b"shuttle_node\0/tmp/x\0", "shuttle_node"),
+        (b"python3\0", "python3"),
+        (b"", "comm"),
+        pytest.param(b"/opt/\xff\xfedrive\0", "\ufffd\ufffddrive", id="no UTF-8"),
+        pytest.param(b"python3\0/opt/\x1b[31mdrive\n.py\0", "?[31mdrive?.py", id="characters that control a terminal"),
+    ],
+)
+def test_a_program_s_name_can_be_shown(command: bytes, name: str) -> None:
+    assert name_of(command, b"comm\n") == name
+    assert name.encode().decode() == name
+
+
+def test_a_program_without_any_name_is_a_program() -> None:
+    assert name_of(b"", b"\n") == "a program"
 
 
 STAT = (
