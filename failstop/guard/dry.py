@@ -60,9 +60,9 @@ class Nothing:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
-    def command(self, command: Command) -> str:
-        """Print a motion, unless a motion with the same wheel speeds was printed already. Returns a text if the motion
-        is beyond the limits, otherwise an empty text."""
+    def command(self, command: Command) -> tuple[str, str]:
+        """Print a motion, unless a motion with the same wheel speeds was printed already. Returns what Scale.beyond()
+        says about the motion."""
         self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:

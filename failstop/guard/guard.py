@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         def look(self, now_ns: int) -> bool: ...
         def join(self, who: str, pid: int | None) -> None: ...
         def leave(self, *, in_order: bool) -> None: ...
-        def command(self, command: Command) -> str: ...
+        def command(self, command: Command) -> tuple[str, str]: ...
         def forward(self, frame: bytes) -> None: ...
         def say(self, sees: str, wrong: str) -> None: ...
         def block(self) -> Block | None: ...
@@ -86,8 +86,8 @@ class Guard:
         self._hasty = ""
         """A text which says that the previous driver closed the port right after it wrote a motion. Empty if it did
         not."""
-        self._told: set[str] = set()
-        """Lines that are printed only once for each driver."""
+        self._exceeded: set[str] = set()
+        """The limits that the driver has exceeded. Each of them is reported only once for each driver."""
         self._said = ("", "")
         self._said_ns = self._looked_ns = 0
         self._runs, self._note = board.runs, board.note
@@ -132,11 +132,6 @@ class Guard:
         # While the port is open too many times, nothing is sent, so nothing is due either.
         motion_ns = self._talk.due_ns() if self._talk and not self._door.crowded else None
         return max(0, min(due_ns, due_ns if motion_ns is None else motion_ns) - now_ns) / 1e9
-
-    def _once(self, line: str) -> None:
-        if line not in self._told:
-            self._told.add(line)
-            self._tell(line)
 
     def _look(self, now_ns: int) -> None:
         """Notice a restarted service, a lost link, a hang-up, and a program that closed the port while its child has it
@@ -249,7 +244,7 @@ class Guard:
         program has the port open, tell the service so."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
-        self._told.clear()
+        self._exceeded.clear()
         if not self._door.count:
             self._who = A_DRIVER
             self._board.join(GUARD, None)
@@ -356,8 +351,10 @@ class Guard:
     def _drive(self, now_ns: int) -> None:
         if self._talk is None or self._door.crowded or (command := self._talk.command(now_ns)) is None:
             return
-        if beyond := self._board.command(command):
-            self._once(f"{self._who} asks for {beyond}")
+        limit, beyond = self._board.command(command)
+        if limit and limit not in self._exceeded:
+            self._exceeded.add(limit)
+            self._tell(f"{self._who} asks for {beyond}")
         settings = self._board.settings
         if command.moves and settings and settings.on("guard.hang_up"):
             block = self._board.block()

@@ -49,12 +49,12 @@ class Scale:
             wz = self._chassis.turn_radps(vx, steering_rad)
         return vx, vy, wz
 
-    def beyond(self, velocity: Velocity) -> str:
-        """Return a text with the commanded speed and the limit if the velocity is beyond the settings' limits.
-        Otherwise empty."""
+    def beyond(self, velocity: Velocity) -> tuple[str, str]:
+        """Return (the setting of the limit, a text with the commanded speed and the limit) if the velocity is beyond
+        one of the settings' limits. Otherwise both are empty."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]
                 why = f"because {scale.ASSUMED}; {scale.REMEDY}" if capped else f"which the setting {key} allows"
-                return f"{abs(asked):.2f} {unit} {way} and gets {most:g}, {why}"
-        return ""
+                return key, f"{abs(asked):.2f} {unit} {way} and gets {most:g}, {why}"
+        return "", ""

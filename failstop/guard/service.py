@@ -109,17 +109,16 @@ class Service:
         if client:
             client.close(in_order=in_order)
 
-    def command(self, command: Command) -> str:
-        """Pass a motion command to the service. Returns a text if the command is beyond the limits, otherwise an empty
-        text."""
+    def command(self, command: Command) -> tuple[str, str]:
+        """Pass a motion command to the service. Returns what Scale.beyond() says about the command."""
         if self._client is None:
-            return ""
+            return "", ""
         velocity = self.scale.velocity(command.speeds, command.steering_rad)
         try:
             self._client.command(*velocity, manual=False, source=self.source, t_ns=command.t_ns)
         except NoService:
             self._drop()
-            return ""
+            return "", ""
         return self.scale.beyond(velocity)
 
     def forward(self, frame: bytes) -> None:

@@ -300,6 +300,18 @@ def test_where_the_kernel_does_not_say_what_is_shared_its_events_count(opened: i
     assert owners(held, {}, opened, lambda _one, _other: None) == expected
 
 
+def test_a_driver_that_asks_for_too_much_is_named_once_for_each_limit(desk: Desk) -> None:
+    driver = desk.script()
+    desk.do(driver, OPEN)
+    for speed in range(900, 905):
+        for motion in (DRIVE % (speed, speed), DRIVE % (speed, -speed)):
+            desk.do(driver, motion)
+            desk.turn()
+    desk.says("motion: wheels 904 -904")
+    asks = [line.partition(" asks for ")[2] for line in desk.lines if " asks for " in line]
+    assert ["forward or backward" in asks[0], "turning" in asks[1], len(asks)] == [True, True, 2], asks
+
+
 # How old a driver's first motion is, and one that opens the port for each motion.
 
 
