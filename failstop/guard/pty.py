@@ -35,6 +35,8 @@ READ_BYTES = 4096
 MOST_READ = 65536
 """How many bytes from a driver are read at once, roughly. Without this limit, a driver that writes without end would
 keep the guard from its other work."""
+TERMINALS = "/dev/pts/"
+"""The folder of the slaves of all pseudo-terminals."""
 MODE = 0o660
 GROUP = "failstop"
 
@@ -96,14 +98,16 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Make the link. A link that already exists at the path is replaced, because an earlier guard may have left it.
-        Raises FailstopError, also if the path exists and is not a link."""
+        """Make the link. A link to another pseudo-terminal is replaced, because an earlier guard may have left it.
+        Raises FailstopError, also if anything else is at the path, for example a link that a udev rule has made."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):
                 if not stat.S_ISLNK(os.lstat(self.path).st_mode):
                     remedy = "remove it, or choose another --path"
                     raise FailstopError(f"{self.path} exists already and is not a link: {remedy}")
+                if not (leads_to := os.readlink(self.path)).startswith(TERMINALS):
+                    raise FailstopError(f"{self.path} leads to {leads_to}: choose another --path")
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(draft)
             os.symlink(self.name, draft)

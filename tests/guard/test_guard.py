@@ -233,7 +233,9 @@ def test_a_line_that_the_output_has_no_characters_for_is_dropped(
 
 def test_a_driver_whose_name_is_not_text_is_shown(tmp_path: Path) -> None:
     port = str(tmp_path / "port")
-    guard = Process(*helpers.python("failstop", "guard", "--dry-run", "--board", "arduino", "--path", port), errors=True)
+    guard = Process(
+        *helpers.python("failstop", "guard", "--dry-run", "--board", "arduino", "--path", port), errors=True
+    )
     try:
         guard.until("your driver opens")
         name = os.fsencode(tmp_path) + b"/\xff\xfe"
@@ -467,6 +469,24 @@ def test_a_link_that_is_there_is_replaced_only_where_it_is_a_link(tmp_path: Path
     assert pty.linked()
     pty.close()
     assert os.listdir(tmp_path) == ["port.lock"]
+
+
+def test_a_link_that_leads_to_something_else_than_a_terminal_is_left(tmp_path: Path) -> None:
+    """As the vendor's /dev/rrc, which a udev rule makes, and which may be how failstop finds the board."""
+    path = tmp_path / "rrc"
+    for leads_to in ("ttyACM0", "/dev/ttyACM0", str(tmp_path)):
+        path.symlink_to(leads_to)
+        with pytest.raises(FailstopError, match=f"{path} leads to {leads_to}: choose another --path"):
+            Pty(str(path))
+        assert os.readlink(path) == leads_to
+        path.unlink()
+    pty = Pty(str(path))
+    path.unlink()
+    path.symlink_to("ttyACM0")
+    with pytest.raises(FailstopError, match="leads to ttyACM0"):
+        pty.link_again()
+    pty.close()
+    assert os.readlink(path) == "ttyACM0"
 
 
 def test_the_owner_and_the_group_may_open_it_and_nobody_else(tmp_path: Path) -> None:
