@@ -74,6 +74,8 @@ class Guard:
         self._crowded = False
         """True if the port was open too many times at the last count. If one of the programs ends, this stays True
         until its end is handled."""
+        self._unlinked = False
+        """True after the guard has reported that it can't make its lost link again."""
         self._flooded = False
         self._wrote = False
         """True if the guard has read bytes from the current driver."""
@@ -146,12 +148,27 @@ class Guard:
         if self._board.note != self._note:
             self._note = self._board.note
             self._tell(self._note or "the service is running")
-        if not self._pty.linked():
-            self._pty.link_again()
+        self._check_link()
         self._pty.check()
         if left := self._door.abandoned():
             self._end()
             self._recount(left)
+
+    def _check_link(self) -> None:
+        """Make the link again if it was lost. If that fails while a program has the port open, only report it, because
+        this program needs the link no more. Raises FailstopError if no program has the port open: systemd then starts
+        the guard again, and makes the folder of the link."""
+        if self._pty.linked():
+            self._unlinked = False
+            return
+        try:
+            self._pty.link_again()
+        except FailstopError as error:
+            if not self._door.count:
+                raise
+            if not self._unlinked:
+                self._tell(f"{error}; the driver that has the port open keeps it")
+            self._unlinked = True
 
     def _begin_again(self) -> None:
         """Open a new pseudo-terminal and begin again, because somebody has hung up the old one."""

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from failstop import config
+from failstop.api.errors import FailstopError
 from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
@@ -351,6 +352,41 @@ def test_a_host_that_ends_after_a_late_answer_is_named_with_the_reason(desk: Des
     desk.turn()
     host.child.kill()
     desk.says("ms late, and this driver waits 34 ms: the computer is busy")
+
+
+# A link that is lost.
+
+
+def test_a_link_that_cannot_be_made_again_ends_no_guard_whose_port_is_open(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver has the terminal itself, and needs the link no more. Without a driver, systemd makes the folder again
+    when it starts the guard again."""
+    monkeypatch.setattr("failstop.guard.guard.LOOK_NS", 0)
+    driver = desk.script()
+    desk.do(driver, OPEN, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    path, aside = Path(desk.pty.path), Path(desk.pty.path).with_name("aside")
+    for kept in ("", "again: "):
+        path.rename(aside)
+        path.write_text("in its place")
+        desk.turn()
+        reason = f"{path} exists already and is not a link: remove it, or choose another --path"
+        assert [line for line in desk.lines if reason in line] == [
+            f"{reason}; the driver that has the port open keeps it"
+        ], kept
+        path.unlink()
+        desk.turn()
+        assert os.readlink(path) == desk.pty.name
+        aside.unlink()
+        desk.lines.clear()
+    path.unlink()
+    path.write_text("in its place")
+    desk.do(driver, DRIVE % (8, 8))
+    desk.says("motion: wheels 8 8")
+    driver.begin("os.close(port)")
+    with pytest.raises(FailstopError, match="exists already and is not a link"):
+        desk.until(lambda: False, "the guard to end without a driver")
 
 
 # A terminal that root hangs up.
