@@ -89,6 +89,9 @@ class DriverFrame(Data):
     kind: str = ""
     """What the frame sets or asks for, for example "counts". A newer frame of the same kind replaces an older one that
     has not been passed on yet."""
+    asks: bool = False
+    """True for a question that failstop does not answer itself, so the driver gets the board's own answer. A dry run
+    has no board, and warns that no answer comes."""
 
 
 class DriverRefusal(Data):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.api.words import velocity
+from failstop.api.words import printable, velocity
 from failstop.board import kinds
 from failstop.guard.said import REFUSED, WAITS
 from failstop.guard.scale import Scale
@@ -13,6 +13,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from failstop.board.driver import DriverFrame
     from failstop.guard.talk import Command
     from failstop.policy.settings import Settings
 
@@ -23,6 +24,7 @@ AT_DEATH = {
 }
 """What happens, besides the stop, when a driver dies while it drives. The keys are the values of the setting
 gate.driver_death."""
+UNANSWERED = "no board answers in a dry run: a driver that waits for the answer goes no further"
 MOST_SHOWN = 200
 """How many different motions are printed for one driver at most. The same number limits the different frames that are
 not motion."""
@@ -43,7 +45,7 @@ class Nothing:
         self._tell = tell
         self._shown: set[tuple[float, ...]] = set()
         self._passed: set[bytes] = set()
-        self._complained = False
+        self._asked = self._complained = False
 
     def look(self, now_ns: int) -> bool:
         """Return True, because a dry run needs no service."""
@@ -53,6 +55,7 @@ class Nothing:
         """Forget which lines were printed, because a new driver begins."""
         self._shown.clear()
         self._passed.clear()
+        self._asked = False
 
     def leave(self, *, in_order: bool) -> None:
         """If the driver did not end cleanly (`in_order` is False), print what failstop would do."""
@@ -71,11 +74,15 @@ class Nothing:
             self._tell(f"  motion: wheels {speeds}: {velocity(*asked) or 'a stop'}")
         return self.scale.beyond(asked)
 
-    def forward(self, frame: bytes) -> None:
-        """Print a frame that the service would pass on to the board, unless the same frame was already printed."""
-        if frame not in self._passed and len(self._passed) < MOST_SHOWN:
-            self._passed.add(frame)
-            self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
+    def forward(self, frame: DriverFrame) -> None:
+        """Print a frame that the service would pass on to the board, unless the same frame was already printed. At the
+        driver's first question, print that no board answers."""
+        if frame.data not in self._passed and len(self._passed) < MOST_SHOWN:
+            self._passed.add(frame.data)
+            self._tell(f"  passed on to the board: {printable(frame.data.decode('ascii', 'backslashreplace').strip())}")
+        if frame.asks and not self._asked:
+            self._asked = True
+            self._tell(f"  {UNANSWERED}")
 
     def say(self, sees: str, wrong: str) -> None:
         """Print `wrong`, at most once for each motion of the driver. Refusals and texts about a driver's end are not

@@ -21,6 +21,7 @@ from failstop.policy.settings import FIRST_SOURCE, Settings
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.board.driver import DriverFrame
     from failstop.guard.talk import Command
 
 AGAIN_NS = 500_000_000
@@ -121,12 +122,12 @@ class Service:
             return "", ""
         return self.scale.beyond(velocity)
 
-    def forward(self, frame: bytes) -> None:
+    def forward(self, frame: DriverFrame) -> None:
         """Pass one of the driver's frames that is not motion to the service. The service decides whether the board gets
         it."""
         if self._client:
             with contextlib.suppress(FailstopError):
-                self._client.write("aux", frame, wake=True)
+                self._client.write("aux", frame.data, wake=True)
 
     def say(self, sees: str, wrong: str) -> None:
         """Report to people how the driver is doing. `sees`: what the guard sees. `wrong`: what is wrong; empty if

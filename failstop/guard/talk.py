@@ -78,7 +78,7 @@ class Talk:
         self._over = False
         """True if the guard was held up for so long that the service has let the motion expire. The wheels then turn
         only for a new motion of the driver."""
-        self._frames: dict[str, bytes] = {}
+        self._frames: dict[str, DriverFrame] = {}
         """The driver's waiting frames that are not motion, by kind. The oldest kind comes first."""
         self._framed_ns = -FRAME_EVERY_NS
         self._known: set[str] = set()
@@ -118,7 +118,7 @@ class Talk:
             elif isinstance(row, DriverMotion) and row.renews:
                 self.refused = why if row.refused else ""
             elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
-                self._frames[row.kind] = row.data
+                self._frames[row.kind] = row
         if renewing := [row for row in motions if row.renews]:
             self._move(renewing[-1].speeds, since_ns)
             self._lets_go = self._let_go_by(renewing)
@@ -145,10 +145,10 @@ class Talk:
             return None
         return [row.data for row in rows if isinstance(row, DriverAnswer)]
 
-    def frame(self, now_ns: int) -> bytes:
-        """Pop the driver's next frame that is not motion. Returns no bytes if none is due now."""
+    def frame(self, now_ns: int) -> DriverFrame | None:
+        """Pop the driver's next frame that is not motion. Returns None if no frame is due now."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
-            return b""
+            return None
         self._framed_ns = now_ns
         return self._frames.pop(next(iter(self._frames)))
 

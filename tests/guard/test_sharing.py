@@ -354,6 +354,42 @@ def test_a_host_that_ends_after_a_late_answer_is_named_with_the_reason(desk: Des
     desk.says("ms late, and this driver waits 34 ms: the computer is busy")
 
 
+UNANSWERED = "no board answers in a dry run: a driver that waits for the answer goes no further"
+
+
+@pytest.mark.parametrize(
+    ("desk", "asks", "moves_on"),
+    [
+        ({"board.kind": "vesc"}, "020100000003", "020104408403"),
+        ({"board.kind": "damiao"}, b"t7FF80100330A00000000\r".hex(), b"t7FF80100330B00000000\r".hex()),
+    ],
+    indirect=["desk"],
+    ids=["vesc", "damiao"],
+)
+def test_a_dry_run_says_that_nobody_answers_a_question(desk: Desk, asks: str, moves_on: str) -> None:
+    driver = desk.script()
+    desk.do(driver, OPEN)
+    for question in (asks, moves_on, asks):
+        desk.do(driver, f"os.write(port, bytes.fromhex('{question}'))")
+        time.sleep(0.02)  # a guard passes on one frame in this time
+        desk.turn()
+    desk.until(lambda: len([line for line in desk.lines if "passed on to the board" in line]) == 2, "both questions")
+    assert desk.lines.count(f"  {UNANSWERED}") == 1, desk.lines
+
+
+@pytest.mark.parametrize(
+    ("desk", "written"),
+    [({"board.kind": "arduino"}, rb"e\r"), ({"board.kind": "ugv"}, rb'{"T":132,"IO4":1,"IO5":1}\n')],
+    indirect=["desk"],
+    ids=["failstop answers itself", "a light"],
+)
+def test_a_dry_run_says_nothing_of_answers_that_no_driver_waits_for(desk: Desk, written: bytes) -> None:
+    driver = desk.script()
+    desk.do(driver, OPEN, f"os.write(port, b'{written.decode()}')")
+    desk.says("passed on to the board")
+    assert not [line for line in desk.lines if UNANSWERED in line]
+
+
 # A link that is lost.
 
 

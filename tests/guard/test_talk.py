@@ -237,7 +237,7 @@ def test_a_language_that_says_nonsense_stops_the_wheels(written: bytes) -> None:
 def test_frames_that_are_no_motion_go_out_apart_and_of_each_kind_the_newest() -> None:
     made = talk()
     made.wrote(b"=a1 =b1 =a2", 0, 0)
-    found = [(at_ms, frame) for at_ms in range(0, 100, 5) if (frame := made.frame(at_ms * MS))]
+    found = [(at_ms, frame.data) for at_ms in range(0, 100, 5) if (frame := made.frame(at_ms * MS))]
     assert found == [(0, b"=a2"), (20, b"=b1")]
     assert made.due_ns() is None
     made.wrote(b"=a3", 30 * MS, 30 * MS)

@@ -186,7 +186,7 @@ class DamiaoDriver:
             return self._report(motor)
         if what == codec.READ and index <= codec.MOST_REGISTER:
             self._asked.add((motor, index))
-            return [DriverFrame(codec.register(motor, codec.READ, index), f"{motor} {index}")]
+            return [DriverFrame(codec.register(motor, codec.READ, index), f"{motor} {index}", asks=True)]
         if what == codec.WRITE and len(data) == 8:
             return self._written(motor, index, data)
         what_for = "to store registers" if what == _STORE else "another frame about registers"

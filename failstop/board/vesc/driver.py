@@ -79,7 +79,8 @@ class VescDriver:
         if command in _PASSED_ON:
             if motor:
                 return [DriverRefusal("a question for the second VESC", "failstop asks it itself, and passes none on")]
-            return [DriverFrame(codec.FIRMWARE if command == _VERSION else codec.VALUES, str(command))]
+            question = codec.FIRMWARE if command == _VERSION else codec.VALUES
+            return [DriverFrame(question, str(command), asks=True)]
         if command == codec.SERVO:
             return self._steer(data)
         if command == _ALIVE:
