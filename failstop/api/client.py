@@ -199,7 +199,6 @@ class Client:
         process. To drive on behalf of another program, pass that program's pid. Raises NoService, FailstopError (no
         permission, another version, or all slots taken)."""
         self.name = name
-        self.who = who
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
@@ -238,11 +237,15 @@ class Client:
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
+        self.rename(who, pid)
+
+    def rename(self, who: str, pid: int | None) -> None:
+        """Show this name and pid to people from now on. See __init__(). Raises NoService."""
+        self.who = who
         # The gate must not watch a program that this process speaks for. It may end normally, and only this process
         # knows that.
         shown = (os.getpid(), pid_namespace()) if pid is None else (pid, 0)
-        hello = records.HELLO.pack(self._session, *shown, self.who)
-        self._segment.latest_writer("hello").write(hello)
+        self._segment.latest_writer("hello").write(records.HELLO.pack(self._session, *shown, who))
         self._ring()
 
     @property

@@ -57,6 +57,9 @@ class Nothing:
         self._passed.clear()
         self._asked = False
 
+    def rename(self, who: str, pid: int | None) -> None:
+        """Do nothing, because a dry run shows no name of its own."""
+
     def leave(self, *, in_order: bool) -> None:
         """If the driver did not end cleanly (`in_order` is False), print what failstop would do."""
         if not in_order and self.settings:

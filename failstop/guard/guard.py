@@ -13,6 +13,7 @@ from failstop.board.driver import language_of
 from failstop.guard.news import HungUp
 from failstop.guard.said import DRIVES, GUARD, REFUSED, WAITS
 from failstop.guard.talk import Talk
+from failstop.messages import records
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
         def look(self, now_ns: int) -> bool: ...
         def join(self, who: str, pid: int | None) -> None: ...
+        def rename(self, who: str, pid: int | None) -> None: ...
         def leave(self, *, in_order: bool) -> None: ...
         def command(self, command: Command) -> tuple[str, str]: ...
         def forward(self, frame: DriverFrame) -> None: ...
@@ -71,7 +73,7 @@ class Guard:
         self._past: deque[tuple[int, bytes]] = deque()
         """The bytes that the board has sent lately, each with its time."""
         self._who = A_DRIVER
-        """The driver's name, for people."""
+        """The driver's name, for people. If several programs have the port open, all of their names."""
         self._crowded = False
         """True if the port was open too many times at the last count. If one of the programs ends, this stays True
         until its end is handled."""
@@ -174,7 +176,9 @@ class Guard:
     def _begin_again(self) -> None:
         """Open a new pseudo-terminal and begin again, because somebody has hung up the old one."""
         self._board.leave(in_order=not self._may_drive())
-        lost = f", so {self._who} has lost it: start it again" if self._talk else ""
+        openers = self._openers()
+        has, it = ("has", "it") if len(openers) == 1 else ("have", "them")
+        lost = f", so {' and '.join(openers)} {has} lost it: start {it} again" if self._talk and openers else ""
         self._talk, self._early, self._wrote = None, b"", False
         self._crowded = False
         self._door.hang_up()
@@ -206,6 +210,9 @@ class Guard:
             self._talk = None
         if new or not self._door.count:
             self._begin(self._talk)
+        elif self._who != (who := " or ".join(self._openers())):
+            self._who = who
+            self._board.rename(*self._shown())
         crowded, self._crowded = self._crowded, self._door.crowded
         if self._crowded and not crowded:
             self._tell(self._crowd())
@@ -260,17 +267,37 @@ class Guard:
     def _begin(self, talk: Talk | None = None) -> None:
         """Begin a conversation with the program that has the port open, or continue the conversation `talk`. If no
         program has the port open, tell the service so."""
-        opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._exceeded.clear()
         if not self._door.count:
             self._who = A_DRIVER
             self._board.join(GUARD, None)
         else:
-            self._who = str(opener or A_DRIVER)
-            self._tell(f"{self._who} has the port open")
-            self._board.join(*((opener.name, opener.pid) if opener else (A_DRIVER, None)))
+            openers = self._openers()
+            self._who = " or ".join(openers)
+            self._tell(f"{' and '.join(openers)} {'has' if len(openers) == 1 else 'have'} the port open")
+            self._board.join(*self._shown())
         self._said_ns = 0
+
+    def _openers(self) -> list[str]:
+        """The programs that have the port open, for people."""
+        return [*map(str, self._door.seen.values()), *self._hidden()]
+
+    def _hidden(self) -> list[str]:
+        """A name for the programs that have the port open and that /proc does not show. Empty if there are none."""
+        shown = sum(opener.times for opener in self._door.seen.values())
+        return [A_DRIVER] if self._door.count > shown else []
+
+    def _shown(self) -> tuple[str, int | None]:
+        """The name and the pid under which the service shows the driver. If several programs have the port open, the
+        name has all of them, because nobody can say which of them drives, and a program that lives must not be named as
+        the one that has died."""
+        seen, hidden = list(self._door.seen.values()), self._hidden()
+        if len(seen) == 1 and not hidden:
+            return seen[0].name, seen[0].pid
+        names = list(dict.fromkeys([*(opener.name for opener in seen), *hidden]))
+        room = records.WHO_BYTES // len(names) - len(" or ")
+        return " or ".join(records.cut(name, room).decode() for name in names), None
 
     def _end(self) -> None:
         """End the conversation after a program has closed the port or died. The conversation ends even if other

@@ -99,6 +99,13 @@ class Service:
         if self._reader:
             self._connect()
 
+    def rename(self, who: str, pid: int | None) -> None:
+        """Show another name and pid for the further commands. The client stays the same, so the driving goes on."""
+        self._who = who, pid
+        if self._client:
+            with contextlib.suppress(FailstopError):
+                self._client.rename(who, pid)
+
     def leave(self, *, in_order: bool) -> None:
         """Stop sending commands in the driver's name. `in_order`: False if the driver ended or died while it was
         driving. The service then follows the setting gate.driver_death."""

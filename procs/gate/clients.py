@@ -23,9 +23,11 @@ if TYPE_CHECKING:
 
 News = tuple["Slot", str, tuple[object, ...]]
 """Something new from a client: (its slot, the name of a record, a tuple of the record's time in ns and its values). If
-the client's session has ended: (its slot, OVER, a tuple whose only value is True if the session said goodbye)."""
+the client's session has ended: (its slot, OVER, a tuple whose only value is True if the session said goodbye). If the
+session shows another name: (its slot, RENAMED, a tuple with what Slot.who() returns)."""
 OVER = "gone"
 """Stands in News instead of the name of a record if the client's session has ended."""
+RENAMED = "renamed"
 ONCE = ("command", "request", "arm_goal", "aux")
 """The records that the gate acts on only once. It reads the other records at every look, even if they have not
 changed."""
@@ -48,9 +50,10 @@ class Slot:
         self.pid_namespace = 0
         self.name = ""
         self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
-        self._greeting: Entry | None = None
+        self.greeting: Entry | None = None
+        """The entry that was last read from `hello`."""
         self._greeted: int | None = None
-        """The session in the entry that was last read from `hello`, or None if the entry is damaged."""
+        """The session in `greeting`, or None if that entry is damaged."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
         # Requests start at 0, because the gate's own record says which of them were answered (requests.py).
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
@@ -66,8 +69,8 @@ class Slot:
     def greet(self) -> int | None:
         """Return the session in the slot's hello, or None if there is no hello or it is damaged."""
         entry = self._hello.read()
-        if entry is not self._greeting:
-            self._greeting, self._greeted = entry, None
+        if entry is not self.greeting:
+            self.greeting, self._greeted = entry, None
             try:
                 if entry:
                     self._greeted, self.pid, self.pid_namespace, name = records.HELLO.unpack(entry[2])
@@ -189,7 +192,7 @@ class ClientTable:
         if not claim.held(self._claims_fd, slot.index):
             yield from self._leave(slot)
             return
-        session = slot.greet()
+        before, session = slot.greeting, slot.greet()
         if session != slot.session:
             yield from self._leave(slot)
             if not session or session == slot.ended:
@@ -203,6 +206,8 @@ class ClientTable:
             self._watch(slot)
         elif not session:
             return  # the slot is claimed, but without a hello there is no client yet
+        elif slot.greeting is not before:
+            yield slot, RENAMED, (slot.who(),)
         for record in self._heard:
             if values := slot.new(record) if record in ONCE else slot.latest(record):
                 yield slot, record, values

@@ -149,6 +149,11 @@ class GateCore:
             self._drivers[command.session] = command
         return None
 
+    def rename(self, session: int, who: str) -> None:
+        """Show another name for a client. Its last command gets the name too, so the client also ends under it."""
+        if driver := self._drivers.get(session):
+            driver.who = who
+
     def _note_ignored(self, command: Command) -> None:
         """Note that a command was ignored, once per session and source. At most MOST_IGNORED are noted, because a
         session could invent new sources forever."""

@@ -218,6 +218,8 @@ class Gate:
                 self._aim_arm(now_ns, slot, *values)
             case "aux":
                 self._forward_aux(now_ns, *values)
+            case clients.RENAMED:
+                self.core.rename(slot.session, *values)
             case clients.OVER:
                 self._client_gone(now_ns, slot, *values)
 

@@ -41,8 +41,8 @@ END_CHILD = "os.close(end); os.waitpid(child, 0)"
 class Script:
     """A driver that does what it is told, a line at a time."""
 
-    def __init__(self, path: str) -> None:
-        words = [sys.executable, "-c", FOLLOWS, path]
+    def __init__(self, path: str, program: str = sys.executable) -> None:
+        words = [program, "-c", FOLLOWS, path]
         self.child = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def begin(self, line: str) -> None:
@@ -58,6 +58,20 @@ class Script:
         return bool(select.select([self.child.stdout], [], [], 0)[0])
 
 
+class Named(Nothing):
+    """A service that shows under which name it was last spoken to."""
+
+    shown: tuple[str, int | None] = ("", None)
+
+    def join(self, who: str, pid: int | None) -> None:
+        self.shown = who, pid
+        super().join(who, pid)
+
+    def rename(self, who: str, pid: int | None) -> None:
+        self.shown = who, pid
+        super().rename(who, pid)
+
+
 class Desk:
     """A guard without a robot, turned by the test, and the drivers at its port."""
 
@@ -66,12 +80,17 @@ class Desk:
         made = config.load(None, {"board.kind": "arduino", **settings})
         self.pty = Pty(str(folder / "port"))
         self.door = Door(self.pty)
-        self.guard = Guard(Nothing(made, self.lines.append), self.pty, self.door, self.lines.append)
+        self.board = Named(made, self.lines.append)
+        self.guard = Guard(self.board, self.pty, self.door, self.lines.append)
         self.scripts: list[Script] = []
         self._ended = False
 
-    def script(self) -> Script:
-        self.scripts.append(Script(self.pty.path))
+    def script(self, name: str = "") -> Script:
+        """Start a driver; `name`: what its program is called."""
+        program = Path(self.pty.path).with_name(name) if name else Path(sys.executable)
+        if name and not program.exists():
+            program.symlink_to(sys.executable)
+        self.scripts.append(Script(self.pty.path, str(program)))
         return self.scripts[-1]
 
     def do(self, script: Script, *lines: str) -> None:
@@ -212,6 +231,42 @@ def test_of_two_programs_each_has_its_own_death_and_no_child_s(desk: Desk) -> No
     assert next(line for line in desk.lines if both[1] in line).startswith("one of ")
     assert any(both[0] in line for line in desk.lines), "the guard can't see which of the two has written"
     assert set(desk.door.seen) == {first.child.pid}
+
+
+@pytest.mark.parametrize("desk", [{"guard.openers": 3}], indirect=True)
+@pytest.mark.parametrize("drives", ["before", "after"])
+def test_of_several_programs_none_is_named_alone(desk: Desk, drives: str) -> None:
+    """Nobody can see which of them drives, and one that lives must not be named as the one that has died."""
+    reader, driver, third = (desk.script(name) for name in ("reader", "driver", "third"))
+    one, other = reader.child.pid, driver.child.pid
+    desk.do(reader, OPEN)
+    desk.says(f"reader (pid {one}) has the port open")
+    assert desk.board.shown == ("reader", one)
+    if drives == "before":
+        desk.do(reader, DRIVE % (7, 7))
+        desk.says("motion: wheels 7 7")
+    desk.do(driver, OPEN)
+    desk.until(lambda: desk.board.shown == ("reader or driver", None), "both to be named")
+    assert not [line for line in desk.lines if "with failstop" in line], "it drives on"
+    desk.do(driver, DRIVE % (8, 8), r"os.write(port, b'o 1 1\r')")
+    desk.says(f"reader (pid {one}) or driver (pid {other}): refused raw PWM (o)")
+    desk.do(third, OPEN)
+    desk.until(lambda: desk.board.shown == ("reader or driver or third", None), "all to be named")
+    driver.child.kill()
+    desk.says(f"reader (pid {one}) and third (pid {third.child.pid}) have the port open")
+    assert desk.board.shown == ("reader or third", None)
+    reader.child.kill()
+    desk.says(f"third (pid {third.child.pid}) has the port open")
+    assert desk.board.shown == ("third", third.child.pid)
+
+
+@pytest.mark.parametrize("desk", [{"guard.openers": 2}], indirect=True)
+def test_two_programs_with_long_names_are_both_named(desk: Desk) -> None:
+    first, second = desk.script("a" * 60), desk.script("b" * 60)
+    desk.do(first, OPEN)
+    desk.do(second, OPEN)
+    desk.until(lambda: desk.board.shown[1] is None, "both to be named")
+    assert desk.board.shown[0] == f"{'a' * 28} or {'b' * 28}"
 
 
 @AS_ROOT
@@ -437,8 +492,10 @@ def test_a_terminal_that_root_hangs_up_is_replaced(desk: Desk, driven: bool) -> 
         desk.says("motion: wheels 7 7")
     desk.do(root, "import fcntl, termios", OPEN, "fcntl.ioctl(port, 0x5437)", "os.close(port)")
     name = Path(f"/proc/{driver.child.pid}/comm").read_text().strip()
-    lost = f", so {name} (pid {driver.child.pid}) has lost it: start it again" if driven else ""
-    desk.says(f"root hung up the port (vhangup){lost}")
+    desk.says("root hung up the port (vhangup)")
+    said = next(line for line in desk.lines if "root hung up" in line)
+    # Root's own program may have been seen too.
+    assert (f", so {name} (pid {driver.child.pid})" in said and "lost it: start" in said) == driven, said
     assert desk.pty.name == os.readlink(desk.pty.path)
     again = desk.script()
     desk.do(again, OPEN, DRIVE % (8, 8))

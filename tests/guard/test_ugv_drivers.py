@@ -27,7 +27,10 @@ import json, serial, sys
 port = serial.Serial(sys.argv[1], 115200)
 print("open", flush=True)
 while True:
-    said = json.loads(port.readline().decode("utf-8"))
+    try:
+        said = json.loads(port.readline().decode("utf-8"))
+    except ValueError:
+        continue  # pyserial in the other program has opened the port, and has dropped what waited there
     if said["T"] == 1001:
         print(said["odl"], said["odr"], said["v"], said["az"], flush=True)
 """
@@ -102,6 +105,10 @@ def test_one_node_writes_and_another_reads_and_the_death_of_either_stops_the_whe
     nodes[dies].kill()
     ugv.stands()
     wait_for("motion to be disabled", lambda: not ugv.trial.robot.state.enabled)
+    names = sorted(os.path.basename(str(node.child.args[1])) for node in nodes.values())  # type: ignore[index]
+    why = str(ugv.trial.robot.why())
+    assert any(f"{' or '.join(order)} (pid " in why for order in (names, names[::-1])), why
+    assert "died after it had driven" in why
 
 
 def test_a_suspended_driver_stops_and_goes_on_afterwards(ugv: GuardScene) -> None:

@@ -35,6 +35,21 @@ def test_a_client_with_claim_and_hello_is_there(service: Service) -> None:
     assert (service.look(), service.sessions()) == ([], [42, 5]), "a hello and no claim is nobody"
 
 
+def test_a_client_that_shows_another_name_stays_the_same_client(service: Service) -> None:
+    client = service.known(name="reader")
+    client.command()
+    assert service.look() == [("command", 11, 0.1)]
+    client.hello(11, "reader or driver", 7)
+    assert (service.look(), service.sessions()) == ([], [11])
+    assert service.held == {"renamed": ("reader or driver (pid 7)",)}
+    assert (service.look(), service.held) == ([], {}), "once"
+    client.command()
+    assert service.look() == [("command", 11, 0.1)]
+    assert service.commanded.who == "reader or driver (pid 7)"
+    client.leave()
+    assert service.tick() == [("gone", 11)], "it is watched as before"
+
+
 @pytest.mark.parametrize("pid", [-1, 0, 2**32 - 1, 2**22 + 5])
 def test_the_newest_command_arrives_once_whatever_pid_is_said(service: Service, pid: int) -> None:
     client = service.join(name="teleop", pid=pid)

@@ -84,6 +84,22 @@ def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too
     assert dying.told() == [TOLD] * 50, "each death is told of"
 
 
+def test_a_driver_that_shows_another_name_dies_under_it() -> None:
+    """A guard with two programs at its port can't know which of them drove, also before the second one came."""
+    for death in ("disable", "latch"):
+        dying = gate(death)
+        dying.core.rename(1, "one or two")
+        dying.core.rename(7, "nobody who has commanded")
+        assert dying.core.sources.driving(dying.now)
+        dying.step(3_600_000 * MS)
+        dying.core.notes.clear()
+        stopped = dying.gone(1)
+        if death == "latch":
+            assert stopped == causes.DRIVER_DIED("one or two")
+        else:
+            assert dying.told() == [TOLD.replace("client 1", "one or two")]
+
+
 def test_who_never_moved_the_robot_had_not_driven() -> None:
     dying = Gate(gate__driver_death="disable", scan__gate="on")
     dying.enable()
