@@ -113,18 +113,21 @@ def test_a_stranger_keeps_no_driver_from_driving(arduino: GuardScene, diffdrive:
 
 
 @pytest.mark.parametrize("name", ["port", "port.new"])
-def test_a_link_of_somebody_s_is_replaced_and_never_followed(tmp_path: Path, name: str) -> None:
+def test_a_link_of_somebody_s_is_never_followed(tmp_path: Path, name: str) -> None:
+    """At the path it is left. Beside it is only the draft of the guard's own link."""
     victim = tmp_path / "victim"
     victim.write_text("mine")
     (tmp_path / name).symlink_to(victim)
-    pty = Pty(str(tmp_path / "port"))
-    try:
+    if name == "port":
+        with pytest.raises(FailstopError, match=f"leads to {victim}: choose another --path"):
+            Pty(str(tmp_path / "port"))
+        assert os.readlink(tmp_path / "port") == str(victim)
+    else:
+        pty = Pty(str(tmp_path / "port"))
         assert os.readlink(tmp_path / "port") == pty.name
-        assert victim.read_text() == "mine"
-        assert stat.S_IMODE(victim.stat().st_mode) != 0o660
-    finally:
         pty.close()
     assert victim.read_text() == "mine"
+    assert stat.S_IMODE(victim.stat().st_mode) != 0o660
 
 
 def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path) -> None:
@@ -149,11 +152,16 @@ def test_a_folder_in_its_way_is_named_and_left_as_it_is(tmp_path: Path, name: st
     assert len(os.listdir("/proc/self/fd")) == before, "nothing of it is left open"
 
 
-def test_a_link_that_somebody_turns_elsewhere_is_turned_back(tmp_path: Path) -> None:
+def test_a_link_that_somebody_turns_elsewhere_is_turned_back_from_a_terminal_only(tmp_path: Path) -> None:
     pty = Pty(str(tmp_path / "port"))
     try:
         os.unlink(tmp_path / "port")
         (tmp_path / "port").symlink_to("/dev/null")
+        assert not pty.linked()
+        with pytest.raises(FailstopError, match="leads to /dev/null"):
+            pty.link_again()
+        os.unlink(tmp_path / "port")
+        (tmp_path / "port").symlink_to("/dev/pts/nowhere")
         assert not pty.linked()
         pty.link_again()
         assert os.readlink(tmp_path / "port") == pty.name
