@@ -104,8 +104,9 @@ class Session:
     ) -> None:
         """Connect to the service `name`. `client`: the name under which others see this program, by default its file
         name. `answer_s`: how long to wait for the gate's answer to a request. `disable_on_exit`: True to disable motion
-        at close() or at the end of the `with` block, but only if this Robot has enabled it. With False, motion stays
-        enabled for other programs.
+        at close() or at the end of the `with` block, but only if this Robot has enabled it. Motion that was disabled or
+        stopped since, and then enabled by somebody else, stays enabled. With False, motion stays enabled for other
+        programs.
 
         Raises NoService when no service is running, FailstopError for an invalid name. Other errors, such as a
         different version of the service, are raised only by calls that drive or read the state, so that estop() works
@@ -120,6 +121,8 @@ class Session:
         self._enabled = False
         """True if this Robot has enabled motion. If the answer to enable() does not arrive, this is True too, because
         the gate may have enabled motion."""
+        self._own_motion: tuple[str, int] | None = None
+        """What _motion() returned when this Robot had enabled motion. None if it is not known."""
         self._pending: tuple[int, object] | None = None
         """(thread, task) that waits for the gate's answer to a request. `thread` is the thread's id. `task` is an
         object that stands for a task of an event loop, or None if the whole thread waits. None if nobody waits."""
@@ -147,14 +150,23 @@ class Session:
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
         """True if this Robot must disable motion at its end, because it has enabled it. False if the program chose
-        disable_on_exit=False. `in_order`: False if the program dies of an exception. If that program has driven, the
-        gate itself ends the motion and reports which driver has died, so the answer is False. But the gate leaves
-        motion enabled if the setting gate.driver_death is "stay", so with that setting the answer is True. Raises
-        FailstopError."""
+        disable_on_exit=False, or if somebody else has enabled motion since. `in_order`: False if the program dies of an
+        exception. If that program has driven, the gate itself ends the motion and reports which driver has died, so the
+        answer is False. But the gate leaves motion enabled if the setting gate.driver_death is "stay", so with that
+        setting the answer is True. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
+        if self._own_motion not in (None, self._motion()):
+            return False
         return in_order or not connected.drove or self.settings["gate.driver_death"] == "stay"
+
+    def _motion(self) -> tuple[str, int]:
+        """Identify the motion that is enabled at present, as (the run's name in shared memory, when it was enabled in
+        ns). Somebody who enables motion again gets another time. Raises NoService, FailstopError."""
+        with self._lock:
+            run = self._current()
+            return run.found[0], run.decided()[0].get("enabled_ns", 0)
 
     def _end(self, *, in_order: bool) -> None:
         """Give the client slot back, for good."""
@@ -245,9 +257,10 @@ class Session:
             while not (sent := self._send(verb, turn, about, asked_ns)):
                 yield pause_s(begun_s)
             client, run, number = sent
-            before, until_s = self._enabled, time.monotonic() + self._answer_s
+            before, until_s = (self._enabled, self._own_motion), time.monotonic() + self._answer_s
             if verb == records.ENABLE:
-                self._enabled = True  # the gate may enable motion even if the answer does not arrive
+                # The gate may enable motion even if the answer does not arrive.
+                self._enabled, self._own_motion = True, None
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + self._answer_s
@@ -262,8 +275,12 @@ class Session:
                     raise self._unanswered()
                 yield pause_s(begun_s)
             if not answer.done:
-                self._enabled = before if verb == records.ENABLE else self._enabled
+                if verb == records.ENABLE:
+                    self._enabled, self._own_motion = before
                 raise self._refused(verb, answer)
+            if verb == records.ENABLE:
+                with contextlib.suppress(FailstopError):
+                    self._own_motion = self._motion()
             if verb == records.DISABLE:
                 self._enabled = False
             return str(answer)

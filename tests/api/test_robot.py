@@ -210,6 +210,24 @@ def test_motion_that_another_enabled_stays_so(trial: Trial) -> None:
     assert trial.robot.state.enabled
 
 
+@pytest.mark.parametrize("ended_by", ["a disable", "a stop", "a restart of the service"])
+def test_motion_that_another_enabled_after_one_s_own_has_ended_stays_so(ended_by: str) -> None:
+    simulated = Simulated()
+    with simulated.failstop.Robot() as robot:
+        robot.enable()
+        if ended_by == "a disable":
+            simulated.robot.disable()
+        elif ended_by == "a stop":
+            simulated.robot.estop("hand near wheel")
+            simulated.robot.wait_for("latched", 5.0)
+            simulated.robot.reset()
+        else:
+            simulated.end()
+            simulated.start()
+        simulated.enable()
+    assert simulated.robot.state.enabled
+
+
 # Threads.
 
 
