@@ -86,6 +86,11 @@ def test_a_drive_that_another_source_has_taken_over_says_so() -> None:
         simulated.wait(0.1)
         drive()
         code, out, err = simulated.command("drive", "0.2", "0", "0", each=drive)
+        for _ in range(5):
+            drive()
+            simulated.wait(0.05)
+        assert simulated.turning(), "a command that was refused is no driver that has died"
+        assert person.state.enabled
     assert (code, out) == (2, "")
     assert drives in err
 

@@ -73,6 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command. Raises Refused if the service refuses the request."""
     command, progress = arguments.command, Progress()
+    failed: FailstopError | None = None
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
             "enable": lambda: robot.enable(progress),
@@ -92,7 +93,13 @@ def main(arguments: Namespace) -> int:
                 if doubt := verdict.doubt(state):
                     standard.say(f"{doubt}; next: {steps.line(state)}")
         except ValueError as error:  # a value is out of range or not finite
-            raise FailstopError(str(error)) from None
+            failed = FailstopError(str(error))
+        except FailstopError as error:
+            failed = error
+    # Raised only here: an error that leaves the `with` block counts as the death of a driver. So after a refused
+    # `drive`, the gate would disable motion, also for another program that drives.
+    if failed:
+        raise failed
     return 0
 
 
