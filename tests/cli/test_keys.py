@@ -164,16 +164,17 @@ def test_whatever_was_typed_the_wheels_stop_soon_after_the_last_of_it(typed: lis
 MS = 1_000_000
 
 
-def answer(question: str) -> bytes:
+def answer(question: str, columns: int = 80) -> bytes:
+    """As a terminal of this width: the cursor stops at its last column."""
     found = re.fullmatch(r"\x1b\[(\d+);(\d+)H\x1b\[6n", question)
     assert found
-    return f"\x1b[{found[1]};{found[2]}R".encode()
+    return f"\x1b[{found[1]};{min(int(found[2]), columns)}R".encode()
 
 
 def test_an_answer_proves_when_it_was_asked() -> None:
     questions = Questions()
-    first = questions.ask(100 * MS, 24)
-    questions.ask(200 * MS, 24)
+    first = questions.ask(100 * MS, 24, 80)
+    questions.ask(200 * MS, 24, 80)
     assert questions.proven_ns == 0
     assert questions.typed(answer(first)) == b""
     assert questions.proven_ns == 100 * MS
@@ -181,15 +182,24 @@ def test_an_answer_proves_when_it_was_asked() -> None:
 
 def test_a_backlog_proves_the_past_alone() -> None:
     questions = Questions()
-    asked = [questions.ask(number * 100 * MS, 24) for number in range(1, 51)]
+    asked = [questions.ask(number * 100 * MS, 24, 80) for number in range(1, 51)]
     for number, question in enumerate(asked, 1):
         questions.typed(answer(question))
         assert questions.proven_ns == number * 100 * MS
 
 
+@given(st.lists(st.integers(2, 70), min_size=1, max_size=4))
+def test_a_terminal_of_any_width_proves_every_question_also_after_a_resize(widths: list[int]) -> None:
+    questions = Questions()
+    for number in range(1, 2 * PLACES + 1):
+        columns = widths[number % len(widths)]
+        questions.typed(answer(questions.ask(number * MS, 24, columns), columns))
+        assert questions.proven_ns == number * MS
+
+
 def test_an_answer_that_was_lost_holds_up_no_other() -> None:
     questions = Questions()
-    asked = [questions.ask(number * MS, 24) for number in range(1, 4)]
+    asked = [questions.ask(number * MS, 24, 80) for number in range(1, 4)]
     questions.typed(answer(asked[2]))
     assert questions.proven_ns == 3 * MS
     questions.typed(answer(asked[0]))
@@ -199,7 +209,7 @@ def test_an_answer_that_was_lost_holds_up_no_other() -> None:
 @pytest.mark.parametrize("data", [b"\x1b[1;1R", b"\x1b[0n", b"\x1b[99999;2R", b"R", b"\x1b[;R"])
 def test_what_answers_nothing_proves_nothing(data: bytes) -> None:
     questions = Questions()
-    questions.ask(MS, 24)
+    questions.ask(MS, 24, 80)
     questions.typed(data)
     assert questions.proven_ns == 0
 
@@ -207,7 +217,7 @@ def test_what_answers_nothing_proves_nothing(data: bytes) -> None:
 @given(st.lists(st.sampled_from([b"q", b" ", b"x", b"\x1b[A"]), max_size=5), st.integers(0, 40))
 def test_keys_and_answers_in_whatever_pieces(keys: list[bytes], cut: int) -> None:
     questions = Questions()
-    question = questions.ask(MS, 24)
+    question = questions.ask(MS, 24, 80)
     data = b"".join(keys) + answer(question) + b"".join(keys)
     typed = questions.typed(data[:cut]) + questions.typed(data[cut:]) + questions.typed(b"")
     assert typed.replace(b"\x1b[A", b"").count(b"q") == 2 * keys.count(b"q")
@@ -219,8 +229,8 @@ def test_keys_and_answers_in_whatever_pieces(keys: list[bytes], cut: int) -> Non
 def test_the_right_question_whatever_was_asked_before(open_ones: int, before: int) -> None:
     questions = Questions()
     for number in range(1, before + 1):
-        questions.typed(answer(questions.ask(number, 24)))
-    asked = [questions.ask(1000 + number, 24) for number in range(open_ones)]
+        questions.typed(answer(questions.ask(number, 24, 80)))
+    asked = [questions.ask(1000 + number, 24, 80) for number in range(open_ones)]
     for number, question in enumerate(asked):
         questions.typed(answer(question))
         assert questions.proven_ns == 1000 + number

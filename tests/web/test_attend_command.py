@@ -19,10 +19,12 @@ SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n'
 
 
 class Answering:
-    """A context manager: reads what a command writes, and answers where the cursor is, as every terminal does."""
+    """A context manager: reads what a command writes, and answers where the cursor is, as every terminal does: the
+    cursor stops at the last column."""
 
-    def __init__(self, typist: Typist) -> None:
+    def __init__(self, typist: Typist, columns: int = 80) -> None:
         self._typist = typist
+        self._columns = columns
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
@@ -41,7 +43,7 @@ class Answering:
             except (BlockingIOError, OSError):
                 continue
             for row, column in re.findall(rb"\x1b\[(\d+);(\d+)H\x1b\[6n", written):
-                os.write(self._typist.master, b"\x1b[%s;%sR" % (row, column))
+                os.write(self._typist.master, b"\x1b[%s;%dR" % (row, min(int(column), self._columns)))
 
 
 def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
@@ -56,6 +58,15 @@ def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
         trial.board.wait_wheels(turning=False, timeout_s=10.0)
 
 
+def test_it_attends_on_the_narrowest_terminal(trial: Trial) -> None:
+    columns = 12
+    with Typist.failstop("attend", "--name", trial.name, columns=columns) as typist, Answering(typist, columns):
+        wait_for("somebody", lambda: trial.robot.state.attended_by)
+        trial.enable()
+        trial.drive(LEASE_S * 2.5)
+        assert trial.turning()
+
+
 def test_q_leaves_at_once(trial: Trial) -> None:
     with Typist.failstop("attend", "--name", trial.name) as typist:
         with Answering(typist):
@@ -67,7 +78,10 @@ def test_q_leaves_at_once(trial: Trial) -> None:
         assert typist.process.wait(10) == 0
 
 
-@pytest.mark.parametrize("name", ["tmux", "screen", "mosh-server"])
+REFUSES = "would keep answering for your terminal"
+
+
+@pytest.mark.parametrize("name", ["tmux", "screen", "mosh-server", "zellij", "wezterm-mux-server"])
 def test_what_answers_in_its_place_is_refused(trial: Trial, name: str, tmp_path: Path) -> None:
     """A program of that name above it; a real tmux's server calls itself `tmux: server`."""
     shell = tmp_path / name
@@ -75,4 +89,24 @@ def test_what_answers_in_its_place_is_refused(trial: Trial, name: str, tmp_path:
     with Typist([str(shell), "-c", f"{' '.join(FAILSTOP)} attend --name {trial.name}; exit $?"]) as typist:
         assert typist.process.wait(20) == 1
         written = os.read(typist.master, 4096).decode()
-    assert f"{BETWEEN[name]} would keep answering for your terminal" in " ".join(written.split())
+    assert f"{BETWEEN[name]} {REFUSES}" in " ".join(written.split())
+
+
+@pytest.mark.parametrize(
+    ("environ", "name"),
+    [
+        ({"TERM": "tmux-256color"}, "tmux"),
+        ({"TERM": "screen.xterm-256color"}, "screen"),
+        ({"TMUX": "/tmp/tmux-1000/default,4711,0"}, "tmux"),
+        ({"STY": "4711.pts-0.desk"}, "screen"),
+        ({"ZELLIJ": "0"}, "zellij"),
+    ],
+)
+def test_what_answers_in_its_place_on_the_operator_s_own_computer_is_refused(
+    trial: Trial, environ: dict[str, str], name: str
+) -> None:
+    """ssh passes TERM on."""
+    with Typist([*FAILSTOP, "attend", "--name", trial.name], environ=environ) as typist:
+        assert typist.process.wait(20) == 1
+        written = os.read(typist.master, 4096).decode()
+    assert f"{name} {REFUSES}" in " ".join(written.split())

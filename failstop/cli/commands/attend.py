@@ -8,6 +8,7 @@ import re
 import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 
 import psutil
@@ -18,7 +19,7 @@ from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.terminal import Terminal
+from failstop.cli.screen.terminal import OUT, Terminal
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
 EXAMPLES = """\
@@ -28,13 +29,26 @@ failstop attend --as Anna
 """
 
 PERIOD_S = 0.1
-BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
+BETWEEN = {
+    "tmux: server": "tmux",
+    "tmux": "tmux",
+    "screen": "screen",
+    "SCREEN": "screen",
+    "mosh-server": "mosh",
+    "zellij": "zellij",
+    "wezterm-mux-server": "wezterm's multiplexer",
+}
 """Programs that may run between this process and the operator's terminal. They answer in place of the terminal, even
 after the operator has closed it, so an absent operator would count as present. Each key is a process name, and its
 value is the name that people know the program by."""
+VARIABLES = {"TMUX": "tmux", "STY": "screen", "ZELLIJ": "zellij"}
+"""The environment variables that such programs set, with their names."""
+TERMS = ("tmux", "screen")
+"""How TERM begins in tmux and in screen. ssh passes only TERM on, so it shows one that runs on the operator's own
+computer."""
 PLACES = 60
-"""How many columns of the terminal are used. Every 0.1 s, the cursor moves to the next of these columns, and the
-terminal is asked where the cursor is. So each column is used again after 6 s."""
+"""How many columns of the terminal are used, if it is wide enough. Every 0.1 s, the cursor moves to the next of these
+columns, and the terminal is asked where the cursor is. So each column is used again after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
 """Matches an incomplete answer at the end of the bytes."""
@@ -56,9 +70,10 @@ class Questions:
         self.proven_ns = 0
         """When the newest answered question was asked (CLOCK_MONOTONIC, ns). 0 before the first answer."""
 
-    def ask(self, now_ns: int, row: int) -> str:
-        """Make the next question, as text to write to the terminal."""
-        column = 2 + self._number % PLACES
+    def ask(self, now_ns: int, row: int, columns: int) -> str:
+        """Make the next question, as text to write to the terminal. `columns`: the terminal's width. On a narrow
+        terminal, fewer columns are used, because the cursor can't go beyond the last one."""
+        column = 2 + self._number % max(1, min(PLACES, columns - 2))
         self._number += 1
         self._open.append((column, now_ns))
         return f"\x1b[{row};{column}H\x1b[6n"
@@ -89,7 +104,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def main(arguments: Namespace) -> int:
     """Run the command until the operator types q, a signal arrives, or the connection to the terminal ends. Raises
     FailstopError."""
-    if other := _between():
+    if other := _between() or _by_environment(os.environ):
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
         )
@@ -108,7 +123,7 @@ def main(arguments: Namespace) -> int:
             if now_s is not None:
                 terminal.draw(_lines(robot, who, terminal.columns))
                 if terminal.writable():
-                    terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
+                    terminal.write(questions.ask(time.monotonic_ns(), terminal.rows, _width()))
     return 128 + terminal.ended
 
 
@@ -121,6 +136,21 @@ def _between() -> str:
             if found := BETWEEN.get(process.name()):
                 return found
     return ""
+
+
+def _by_environment(environ: Mapping[str, str]) -> str:
+    """Return the name of such a program if the environment shows that one is there. Empty if it shows none."""
+    if found := [name for variable, name in VARIABLES.items() if environ.get(variable)]:
+        return found[0]
+    return next((name for name in TERMS if environ.get("TERM", "").startswith(name)), "")
+
+
+def _width() -> int:
+    """Return the terminal's real width in columns, which may have changed since the last call. If the terminal does not
+    know it, return one that every terminal has."""
+    with suppress(OSError):
+        return os.get_terminal_size(OUT).columns or style.LEAST_COLUMNS
+    return style.LEAST_COLUMNS
 
 
 def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
