@@ -39,9 +39,9 @@ def stop(
     say: Callable[[str], None],
     otherwise: Callable[[PortError], bool] = lambda _: False,
     named_by: int = 0,
-) -> float:
-    """Write the stop burst, and try again until it works or the time is over. Returns how many seconds that took.
-    Raises the last PortError.
+) -> tuple[float, bool]:
+    """Write the stop burst, and try again until it works or the time is over. Returns (how many seconds that took, what
+    write() returned; False if it was `otherwise` that worked). Raises the last PortError.
 
     `wait` returns for how many seconds to try, and is called only after the first failure, because it may have to read
     a file. `otherwise` is called after each failure, and returns True if a stop was sent in another way. Then nothing
@@ -53,10 +53,10 @@ def stop(
     while True:
         waited_s = time.monotonic() - start_s
         try:
-            write(path, board, named_by=named_by)
+            held = write(path, board, named_by=named_by)
         except PortError as error:
             if otherwise(error):
-                return waited_s
+                return waited_s, False
             wait_s = wait(error) if wait_s < 0 else wait_s
             if waited_s >= wait_s:
                 raise
@@ -65,12 +65,13 @@ def stop(
                 say(f"{error}; trying for {wait_s:g} s")
             time.sleep(RETRY_S)
         else:
-            return waited_s
+            return waited_s, held
 
 
-def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
+def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> bool:
     """Write the whole stop burst to the port, and then the frames that stop an arm with these servos. Waits until the
-    bytes have left the kernel. The port is not opened exclusively. `named_by`: as for open_port(). Raises PortError."""
+    bytes have left the kernel. The port is not opened exclusively. Returns True if a service has the port. It has not
+    heard of the stop, so it may write motion again. `named_by`: as for open_port(). Raises PortError."""
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port, named_by=named_by), board, servos)
     try:
         stop_port.burst()
@@ -79,6 +80,7 @@ def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: in
             gone = f"went away while writing ({os.strerror(stop_port.errno)})"
             why = gone if stop_port.lost else "takes no bytes: use the POWER SWITCH"
             raise PortError("io", f"{path} {why}", stop_port.errno)
+        return is_read(stop_port.fd)
     finally:
         stop_port.close()
 

@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 
+from failstop import config
 from failstop.api.client import send_stop
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
+from failstop.files import root
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, call
 from tests.support.commands import FAILSTOP, failstop
@@ -113,6 +115,16 @@ def test_of_two_services_one_is_stopped_or_all_that_run_are_asked(trial: Trial, 
             assert str(each.robot.state.estop).startswith("stop request: the machine sleeps")
 
 
+@needs_root
+def test_whoever_was_written_past_is_named_with_the_command_that_asks_it(trial: Trial, tmp_path: Path) -> None:
+    hidden = {**os.environ, root.VARIABLE: str(tmp_path), "XDG_RUNTIME_DIR": str(tmp_path)}
+    command = [*FAILSTOP, "stop", "--device", trial.link]
+    done = subprocess.run(command, env=hidden, capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 1
+    assert f"the service '{trial.name}' was not asked, still has {trial.link}" in done.stderr
+    assert f"`failstop stop --name {trial.name}` as the user who started it" in done.stderr
+
+
 @pytest.mark.claim("ASK-1")
 def test_by_an_unprivileged_user(trial: Trial) -> None:
     set_off(trial)
@@ -148,6 +160,28 @@ def test_a_service_that_does_not_obey_is_stopped_beside(simulated: Simulated) ->
     assert (code, out) == (0, f"stop frame sent (after 0.0 s), directly to {port}\n{unknown}\n")
     assert "has not latched it within 1 s; writing the stop to the port instead" in err
     assert not simulated.turning()
+
+
+def test_without_a_service_of_that_name_the_service_at_the_port_is_asked(simulated: Simulated) -> None:
+    """Root would otherwise write past it, and it would drive on."""
+    simulated.set_off()
+    simulated.lab.write(f"{config.FOLDER}/left.toml", f'device.path = "{simulated.link}"\n')
+    code, out, err = simulated.command("stop", "--name", "left")
+    assert (code, err) == (0, "")
+    assert "by the service 'failstop'" in out
+    simulated.drive(0.3)
+    assert not simulated.turning()
+
+
+def test_a_service_that_root_can_t_see_is_named_because_it_may_drive_on(simulated: Simulated) -> None:
+    """As after `failstop run` by another user."""
+    simulated.set_off()
+    hidden = {root.VARIABLE: "/elsewhere", "XDG_RUNTIME_DIR": "/nowhere"}
+    code, out, err = simulated.lab.command(("stop", "--device", simulated.link), environ=hidden)
+    assert (code, "directly to" in out) == (1, True)
+    assert f"was not asked, still has {simulated.link} and may drive on: use the POWER SWITCH" in err
+    simulated.drive(0.3)
+    assert simulated.turning(), "it has not heard of the stop"
 
 
 def test_a_port_that_is_gone_is_told_with_the_latch(simulated: Simulated) -> None:

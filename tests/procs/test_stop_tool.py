@@ -55,7 +55,7 @@ def stop(machine: PortMachine, said: list[str]) -> Stop:
     """Runs the tool, for so many seconds at most."""
 
     def stop(wait_s: float = 0.0, path: str = machine.wire.link) -> float:
-        return float(machine.load("failstop.stop_tool").stop(path, BOARD, lambda _: wait_s, said.append))
+        return float(machine.load("failstop.stop_tool").stop(path, BOARD, lambda _: wait_s, said.append)[0])
 
     return stop
 
@@ -87,6 +87,17 @@ def test_the_tool_speaks_as_fast_as_the_board_and_stops_an_arm_behind_the_wheels
     machine.load("failstop.stop_tool").write(machine.wire.link, board, SERVOS)
     assert machine.wire.read().startswith(board.burst + (board.arm.stops(SERVOS) if board.arm else b""))
     assert machine.wire.port.settings[4:6] == [getattr(termios, f"B{board.port.baud}")] * 2
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_the_tool_reports_a_service_that_has_the_port(machine: PortMachine, said: list[str], held: bool) -> None:
+    tool, fd = machine.load("failstop.stop_tool"), machine.open(machine.wire)
+    fcntl = machine.system["fcntl"]
+    if held:
+        fcntl.flock(fd, fcntl.LOCK_EX)
+    assert tool.stop(machine.wire.link, BOARD, lambda _: 0.0, said.append)[1] is held
+    machine.os.close(fd)
+    assert machine.wire.read().startswith(BURST)
 
 
 def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine, said: list[str], refused: Any) -> None:
@@ -129,7 +140,7 @@ def test_a_stop_that_another_way_has_sent_is_not_waited_for(machine: PortMachine
         return 0.05
 
     if sent:
-        assert tool.stop(ABSENT, BOARD, wait, said.append, another) == 0.0
+        assert tool.stop(ABSENT, BOARD, wait, said.append, another) == (0.0, False)
         assert (ways, waits) == (["absent"], [])
     else:
         with pytest.raises(machine.load("failstop.board.port").PortError, match="no device"):

@@ -104,6 +104,7 @@ def main(arguments: Namespace) -> int:
     Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases:
 
     - The stop may have gone to the wrong port.
+    - The stop was written to the port of a service that was not asked, so this service may drive on.
     - The board has not answered, although this kind of board answers. (With --end-service, this is printed, but does
       not make the result 1.)
     - A service has written the stop, but the wheels may still turn.
@@ -145,13 +146,14 @@ NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask the service `order.name` to stop the robot. If the user has named a port, ask every service that may use that
-    port instead."""
+    """Ask the service `order.name` to stop the robot. If the user has named a port, or if no service of that name is
+    running, ask every service that may use the port instead."""
     try:
-        target = order.target
-        device = target.wanted()
-        running = instances.listening() if device else [order.name] if instances.listens(order.name) else []
-        return _ask(order, running, device) if running else ""
+        device = order.target.wanted()
+        if not device and instances.listens(order.name):
+            return _ask(order, [order.name], "")
+        running = instances.listening()
+        return _ask(order, running, device or order.target.device()) if running else ""
     except Exception as error:  # whatever has failed, the stop can still be written to the port
         return f"no service could be asked ({error})"
 
@@ -212,8 +214,8 @@ def _write_to_port(order: Order) -> Outcome:
     )
     sent = f"stop frame{whose} sent (after {after_s:.1f} s), directly to {target.described()}{why}{unless}"
     standard.print_line(sent)
-    unheard = target.unheard(patient=True)
-    return int(target.doubtful() or unheard)
+    unheard, bypassed = target.unheard(patient=True), target.bypassed()
+    return int(target.doubtful() or unheard or bypassed)
 
 
 ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
@@ -293,6 +295,8 @@ class Target:
         user whose settings file names it. ("", 0) if this did not happen."""
         self._instead_of = ""
         """Why the port of the last run could not be used, as the end of a sentence."""
+        self._held = False
+        """True if a service had the port when the stop was written to it."""
         self._stopped = False
         """True once a stop was written. From then on, board() may run the user's own Python code for the board. Asking
         the board for an answer needs that code."""
@@ -431,10 +435,10 @@ class Target:
 
         try:
             device, owner = self._chosen()
-            after_s = stop_tool.stop(device, self.board(), wait_s, standard.say, another, owner)
+            after_s, held = stop_tool.stop(device, self.board(), wait_s, standard.say, another, owner)
             if elsewhere and not self._instead[0]:
                 return after_s
-            self._stopped = True
+            self._stopped, self._held = True, held or self._held
             if servos := self._servos():  # after the wheels, the arm
                 device, owner = self._chosen()
                 stop_tool.write(device, self.board(), servos, named_by=owner)
@@ -453,7 +457,7 @@ class Target:
         if not self._is_last() or other[0] == self._last.device:
             return False
         try:
-            stop_tool.write(other[0], self.board(), named_by=other[1])
+            self._held = stop_tool.write(other[0], self.board(), named_by=other[1])
         except PortError:
             return False
         self._instead = other
@@ -498,6 +502,32 @@ class Target:
             )
         return heard is False
 
+    def bypassed(self) -> bool:
+        """Print a warning and return True if the stop was written to the port of a service that was not asked. That
+        happens only to root, whom an exclusive port does not keep out, for example if another user has started the
+        service. The service does not know of the stop, so it sends the next motion frame at its usual time."""
+        if not self._held or self.asked:
+            return False
+        by, ways = self._holders()
+        ask = f", or {ways} as the user who started it" if ways else ""
+        standard.say(f"{by} was not asked, still has {self.device()} and may drive on: use the POWER SWITCH{ask}")
+        return True
+
+    def _holders(self) -> tuple[str, str]:
+        """Return (the processes that have the port open, the commands that ask those that are services and were not
+        asked), both as text. The second text is empty if no such service is found."""
+        try:
+            # imported only here, because it looks at every process of the computer
+            from failstop.doctor.system import System
+
+            holders, _ = System().holders(self.device())
+        except Exception:  # people must learn that the robot may drive on, even if nobody can be named
+            holders = ()
+        who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
+        services = dict.fromkeys(it.instance for it in holders if it.instance and it.instance not in self.asked)
+        ways = (f"`failstop stop{instance.option(name)}`" for name in services)
+        return ", ".join(who) or "another process", " or ".join(ways)
+
     def complain(self) -> None:
         """Print the mistakes in the settings file. Call this after the stop, because printing may be delayed."""
         while self._problems:
@@ -534,15 +564,11 @@ class Target:
             return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
-        # imported only here, because it looks at every process of the computer
-        from failstop.doctor.system import System
-
-        holders, _ = System().holders(device)
-        who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
+        by, ways = self._holders()
         asked = f"; asked without success: {', '.join(self.asked)}" if self.asked else ""
-        sudo = f", or `sudo failstop stop --device {device}`, which writes anyway" if os.geteuid() else ""
-        by = ", ".join(who) or "another process"
-        return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{sudo}"
+        sudo = f"`sudo failstop stop --device {device}`, which writes anyway" if os.geteuid() else ""
+        or_ask = f", or {ways or sudo}" if ways or sudo else ""
+        return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{or_ask}"
 
 
 def _end_service() -> bool:
