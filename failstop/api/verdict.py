@@ -210,8 +210,16 @@ def no_answer(state: State) -> str:
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
-    """The newest event of one of these kinds. None if there is no such event."""
-    return next((event for event in reversed(events) if event.kind in kinds), None)
+    """The newest event of one of these kinds. None if there is no such event. An event `ready` counts only if it is
+    about the start of the service. Later ones report only that something is there again, which changes nothing about
+    whether motion is enabled."""
+    return next((event for event in reversed(events) if event.kind in kinds and not _again_ready(event)), None)
+
+
+def _again_ready(event: Event) -> bool:
+    """True for an event `ready` that is not about the start of the service. Only the one about the start has a next
+    step, because motion is always disabled then."""
+    return event.kind == "ready" and not event.next
 
 
 def left_off(events: Sequence[Event]) -> Event | None:

@@ -20,8 +20,8 @@ DEAF = Device("/dev/ttyACM0", "open", "deaf")
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 
 
-def event(kind: str, text: str, age_s: float) -> Event:
-    return Event(1, NOW_S - age_s, 0, kind, "notice", text, {})
+def event(kind: str, text: str, age_s: float, step: str = "") -> Event:
+    return Event(1, NOW_S - age_s, 0, kind, "notice", text, {}, step)
 
 
 def why(found: State, *events: Event) -> Why:
@@ -85,7 +85,8 @@ def test_disabled_since_the_event_that_made_it_so() -> None:
 
 
 def test_after_a_start_it_says_that_nobody_has_enabled_motion_yet() -> None:
-    ready = event("ready", "'left' is ready: it has told the wheels to stop, and motion is disabled", 5.1)
+    text = "'left' is ready: it has told the wheels to stop, and motion is disabled"
+    ready = event("ready", text, 5.1, "`failstop enable`")
     when = words.clock(NOW_S - 5.1, NOW_S)
     found = why(state(name="left"), ready, event("link", "the board answers", 4))
     assert found.what == (
@@ -94,6 +95,19 @@ def test_after_a_start_it_says_that_nobody_has_enabled_motion_yet() -> None:
     assert (found.since, found.do) == (NOW_S - 5.1, ("`failstop enable --name left`",))
     later = why(state(), ready, event("enabled", "motion enabled", 3), event("disabled", "motion disabled by nav", 2))
     assert "since the service was started" not in later.what
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [("driver_gone", "motion disabled: nav (pid 42) died after it had driven"), ("reset", "latched stop cleared")],
+)
+def test_what_is_ready_again_hides_nothing(kind: str, text: str) -> None:
+    again = event("ready", "a stop being carried out is there now: motion can be enabled again", 2)
+    before, after = (why(state(last_stop=stop()), event(kind, text, 6), *more) for more in ((), (again,)))
+    assert after == before
+    assert why(state(), again).since is None, "the start is no longer among the events"
+    silent = event("driver_silent", "nav (pid 42) stopped sending commands while it drove", 6)
+    assert verdict.left_off((silent, again)) is silent
 
 
 def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:

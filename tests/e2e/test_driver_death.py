@@ -75,3 +75,18 @@ def test_the_command_line_s_drive_is_a_driver_as_any_other(simulated: Simulated)
     simulated.wait(0.1)
     assert not simulated.robot.state.enabled
     assert f"failstop drive (pid {killed[0].pid}) died after it had driven" in str(simulated.robot.why())
+
+
+def test_a_board_that_is_heard_again_hides_no_death(simulated: Simulated) -> None:
+    """The service reports that it is ready again, which is no start."""
+    simulated.enable()
+    simulated.leave()
+    driver = simulated.driver("nav")
+    simulated.board.wait_wheels(turning=True)
+    simulated.lab.machine.kill(driver, signal.SIGKILL)
+    simulated.board.wait_wheels(turning=False)
+    simulated.board.silent(True)
+    simulated.wait_for("the wait to be logged", lambda: "waiting for" in simulated.printed("events"))
+    simulated.board.silent(False)
+    simulated.wait_for("its end", lambda: "motion can be enabled again" in simulated.printed("events"))
+    assert f"nav (pid {driver.pid}) died after it had driven" in simulated.printed("why")
