@@ -59,6 +59,8 @@ class EventLog:
         Raises NoService, FailstopError."""
         self.name = name
         self._run = SeenRun(name)
+        self.run = self._run.found[0]
+        """The name of this run of the service. Each run has another one."""
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:

@@ -125,6 +125,24 @@ def test_a_log_of_a_run_that_was_followed_by_another_says_so(simulated: Simulate
     assert new.heard[0].t > listener.heard[-1].t
 
 
+def test_who_follows_a_run_whose_supervisor_was_killed_shows_its_events_once(simulated: Simulated) -> None:
+    """The other processes live on for a moment, here for 2 s, and until they have ended the run can be found."""
+    passed: list[None] = []
+
+    def each() -> None:
+        passed.append(None)
+        if len(passed) == 10:
+            for name in ("port_owner", "stopper"):
+                simulated.suspend(name)
+            simulated.die("supervisor")
+        if len(passed) == 110:
+            simulated.lab.kill("events")
+
+    _, out, err = simulated.command("events", "--follow", each=each)
+    assert out.count("is ready") == 1
+    assert err.count("waiting for it") == 1
+
+
 # How a driver ends.
 
 

@@ -78,15 +78,17 @@ def main(arguments: Namespace) -> int:
                 show([event])
         except NoService as error:
             print(fitted(f"{PREFIX}{error}; waiting for it", 2), file=sys.stderr, flush=True)
-            log = _again(name)
+            log = _next_run(log)
     return 0
 
 
-def _again(name: str) -> EventLog:
-    """Wait until the service is running again, and return its events."""
+def _next_run(before: EventLog) -> EventLog:
+    """Wait until the service is running again, and return the events of its new run. If the supervisor was killed, the
+    old run can still be found for a moment, but its events were already shown."""
     while True:
         with suppress(FailstopError):
-            return EventLog(name)
+            if (log := EventLog(before.name)).run != before.run:
+                return log
         time.sleep(AGAIN_S)
 
 
