@@ -30,7 +30,8 @@ class Event:
     """The number of the event, counted from 1 in each run of the service. A gap in the numbers means that events were
     overwritten before they were read."""
     t: float
-    """When the event happened (Unix time, s)."""
+    """When the event happened, by the wall clock of that moment (Unix time, s). If somebody sets the clock later, `ns`
+    still shows how long ago it was."""
     ns: int
     """When the event happened (CLOCK_MONOTONIC, ns)."""
     kind: str

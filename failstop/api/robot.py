@@ -194,9 +194,11 @@ class Calls(Session):
     def why(self) -> Why:
         """Explain why the wheels are stopped, what proves it, and what to do. str() of the result is the text that
         `failstop why` prints. Raises NoService, FailstopError."""
-        from failstop.api.why import explain  # imported only here, because driving does not need it
+        from failstop.api import dates  # imported only here, because driving does not need it
+        from failstop.api.why import explain
 
-        return explain(self.state, EventLog(self.name).read(), time.time())
+        at = dates.now()
+        return explain(*dates.dated(self.state, EventLog(self.name).read(), at), at.unix_s)
 
     def samples(self) -> list[Sample]:
         """Return the Imu and Pad samples since the last call, and the newest Odometry. Each sample has a time, and is

@@ -361,7 +361,10 @@ class Session:
         """True if the wheels were seen still since they were last stopped. Raises NoService, FailstopError."""
         if state.turning.does != "still":
             return False
-        seen = verdict.seen_since(state, EventLog(self.name, past=True).read(), time.time())
+        from failstop.api import dates  # imported only here, because driving does not need it
+
+        at = dates.now()
+        seen = verdict.seen_since(*dates.dated(state, EventLog(self.name, past=True).read(), at), at.unix_s)
         return seen.turning.does == "still"
 
 

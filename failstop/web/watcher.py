@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from failstop.api import dates
 from failstop.api.errors import FailstopError
 from failstop.api.follow import Follower, Vibration
 from failstop.web import view
@@ -55,7 +56,7 @@ class Watcher:
         if key != self._key or now_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, now_s
             assert self._follower is not None
-            self._show(view.view(self.state, self._follower.events, unix_s))
+            self._show(view.view(*dates.dated(self.state, self._follower.events, dates.now()), unix_s))
 
     @staticmethod
     def _what_matters(state: State) -> object:

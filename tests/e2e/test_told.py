@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from math import radians
 from typing import Any
@@ -102,6 +103,20 @@ def test_a_drive_that_the_board_does_not_obey_is_not_said_to_have_been_driven() 
         "unproven: the board has never answered; commanded for 0.3 s"
         in simulated.command("drive", "0.1", "0", "0", "--for", "0.3")[1]
     )
+
+
+@pytest.mark.parametrize("years", [3, -3])
+def test_a_clock_that_was_set_gives_no_wrong_age_and_hides_nothing(years: int) -> None:
+    simulated = Simulated()
+    simulated.set_off()
+    simulated.robot.estop("hand near wheel")
+    simulated.wait(2.5)
+    simulated.lab.machine.unix_ns += years * 365 * 86400 * 10**9
+    assert re.search(r"latched since \d\d:\d\d:\d\d, [23]\.\d s ago", simulated.printed("why"))
+    assert re.search(r"\(\d\d:\d\d:\d\d, [23]\.\d s ago\)", simulated.printed("status"))
+    assert "hand near wheel" in simulated.printed("events", "--since", "1m")
+    assert re.search(r"since \d\d:\d\d:\d\d, [23]\.\d s ago", str(simulated.robot.why()))
+    assert simulated.printed("events", "--since", "1s", "--kind", "stop") == ""
 
 
 # Trips and refusals.

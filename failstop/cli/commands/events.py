@@ -45,7 +45,7 @@ def main(arguments: Namespace) -> int:
     """Run the command. With --follow it runs until Ctrl-C. If no service is running at the start, it prints the last
     events of a dead run and raises NoService."""
     name = arguments.name
-    since_s = since(arguments.since, time.time()) if arguments.since else 0.0
+    since_ns = since(arguments.since, time.monotonic_ns()) if arguments.since else 0
     chosen = kinds(arguments.kind) if arguments.kind else None
 
     last: Event | None = None
@@ -56,7 +56,7 @@ def main(arguments: Namespace) -> int:
             if last and not arguments.json:
                 style.show(clock(last, event))
             last = event
-            if event.t < since_s or (chosen is not None and event.kind not in chosen):
+            if event.ns < since_ns or (chosen is not None and event.kind not in chosen):
                 continue
             if arguments.json:
                 print(json.dumps(dataclasses.asdict(event)))
@@ -115,10 +115,11 @@ def kinds(text: str) -> frozenset[str]:
     return found
 
 
-def since(text: str, now_s: float) -> float:
-    """Convert an age such as `10m` (ten minutes ago) to Unix time. Raises FailstopError if the text is not an age."""
+def since(text: str, now_ns: int) -> int:
+    """Convert an age such as `10m` (ten minutes ago) to CLOCK_MONOTONIC in ns, because somebody may have set the wall
+    clock since. Raises FailstopError if the text is not an age."""
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():
-        return now_s - float(number) * unit_s
+        return now_ns - round(float(number) * unit_s * 1e9)
     raise FailstopError(f"--since {text}: give an age, such as 30s, 10m, 2h or 1d")

@@ -6,7 +6,7 @@ import os
 import time
 from argparse import ArgumentParser, Namespace
 
-from failstop.api import client, verdict, words
+from failstop.api import client, dates, verdict, words
 from failstop.api.errors import FailstopError
 from failstop.api.events import EventLog
 from failstop.api.snapshot import Stop
@@ -169,13 +169,14 @@ def unlatched(name: str) -> str:
     stop's time and reason, and says that the stop has no incident. Empty if the last stop was latched, or if a stop is
     latched now."""
     try:
-        state, events = StateReader(name).read(), EventLog(name).read()
+        at = dates.now()
+        state, events = dates.dated(StateReader(name).read(), EventLog(name).read(), at)
     except FailstopError:
         return ""
     if (last := verdict.unlatched(state, events)) is None:
         return ""
     what = last.what.replace("motion disabled", "motion was disabled", 1)
-    return f"at {words.clock(last.t, time.time())} {what}; that is not a latched stop, so it has no incident"
+    return f"at {words.clock(last.t, at.unix_s)} {what}; that is not a latched stop, so it has no incident"
 
 
 def unsaved(name: str) -> Stop | None:

@@ -4,13 +4,12 @@ why the wheels are stopped."""
 from __future__ import annotations
 
 import dataclasses
-import time
 from argparse import ArgumentParser, Namespace
 from collections import deque
 from collections.abc import Iterable, Sequence
 from math import hypot
 
-from failstop.api import host, verdict, words
+from failstop.api import dates, host, verdict, words
 from failstop.api.errors import NoService
 from failstop.api.events import Event, EventLog
 from failstop.api.follow import Follower, Vibration
@@ -80,14 +79,17 @@ def _status(name: str, *, as_json: bool) -> int:
     if as_json:
         style.show(style.record(state.as_dict()))
     else:
-        style.show(summary.lines(state, time.time(), style.width(), EventLog(name).read()))
+        at = dates.now()
+        state, events = dates.dated(state, EventLog(name).read(), at)
+        style.show(summary.lines(state, at.unix_s, style.width(), events))
     return 0
 
 
 def _why(name: str, *, as_json: bool) -> int:
     code = 0
     try:
-        found = explain(StateReader(name).read(), EventLog(name).read(), time.time())
+        at = dates.now()
+        found = explain(*dates.dated(StateReader(name).read(), EventLog(name).read(), at), at.unix_s)
     except NoService as error:
         if not (dead := left(name)):
             raise refusal(name, error) from None
@@ -109,12 +111,13 @@ def _watch(name: str) -> int:
             if b"q" in typed.lower():
                 return 0
             if now_s is not None:
-                state, unix_s = follower.read(now_s), time.time()
+                state, at = follower.read(now_s), dates.now()
                 if state is None:
                     terminal.draw(live.gone(follower.note, terminal.columns))
                 else:
+                    state, events = dates.dated(state, follower.events, at)
                     size = terminal.columns, terminal.rows
-                    terminal.draw(live.lines(state, now_s, unix_s, *size, follower.events))
+                    terminal.draw(live.lines(state, now_s, at.unix_s, *size, events))
     return 128 + terminal.ended
 
 
