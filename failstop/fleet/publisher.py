@@ -78,6 +78,9 @@ class Service:
         self.name = name
         self._reader: StateReader | None = None
         self._log: EventLog | None = None
+        self._log_ended = ""
+        """The run whose events have all been returned. It can still be found for a moment after its supervisor was
+        killed."""
 
     def read(self) -> tuple[State | None, str]:
         """Return (the present state, ""), or (None, the reason why there is no state)."""
@@ -85,7 +88,7 @@ class Service:
         for _ in range(2):  # if the run that was read has ended, try the next run
             try:
                 if self._reader is None or self._reader.over():
-                    self._reader, self._log = StateReader(self.name), None
+                    self._reader = StateReader(self.name)
                 return self._reader.read(), ""
             except FailstopError as error:
                 self._reader, note = None, str(error)
@@ -94,10 +97,16 @@ class Service:
     def events(self) -> list[Event]:
         """Return the events since the last call."""
         try:
-            self._log = self._log or EventLog(self.name)
-            return self._log.read()
+            log = self._log or EventLog(self.name)
         except FailstopError:
-            self._log = None
+            return []
+        if log.run == self._log_ended:
+            return []
+        try:
+            self._log = log
+            return log.read()
+        except FailstopError:
+            self._log, self._log_ended = None, log.run
             return []
 
     def stop(self, reason: str, by: str) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from failstop.api import host
 from failstop.api.errors import NoService
 from failstop.api.follow import CHECK_S, Follower
 from failstop.files import instance
+from failstop.fleet import publisher
 from failstop.incidents import left
 from failstop.messages import layout
 from failstop_lab.trial import Trial, wait_for
@@ -69,6 +71,26 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     assert "the run before this one: supervisor died (`failstop incident show " in said(status.stdout)
     assert f"-supervisor-died --name {trial.name}`" in said(why.stdout)
     assert left.left(trial.name) is None
+
+
+def test_the_fleet_gets_each_event_of_a_run_once(trial: Trial) -> None:
+    """Until the last processes of a run whose supervisor was killed have ended, the run can still be found."""
+    service = publisher.Service(trial.name)
+    found = service.events()
+    others = [pid for name, pid in trial.service.pids().items() if name in (layout.PORT_OWNER, layout.STOPPER)]
+    trial.leave()
+    for pid in others:
+        os.kill(pid, signal.SIGSTOP)
+    trial.service.kill()
+    for _ in range(5):
+        service.read()
+        found += service.events()
+    for pid in others:
+        os.kill(pid, signal.SIGCONT)
+    wait_for("its end", lambda: run(trial, "status").returncode == 3)
+    trial.service.start()
+    assert [event.kind for event in found].count("ready") == 1
+    assert [event.kind for event in service.events()].count("ready") == 1, "of the new run"
 
 
 def test_with_a_unit_it_is_systemd_that_starts_it(installed: Callable[[str], None]) -> None:
