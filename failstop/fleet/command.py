@@ -206,8 +206,16 @@ def _blind(broker: Broker) -> str:
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
 
+def _user() -> str:
+    """Return the user's name, or the number if no account has it, as in a container that was started with --user."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # OSError from Python 3.13 on
+        return f"uid {os.getuid()}"
+
+
 def _stop(arguments: Namespace) -> int:
-    by = arguments.by or f"{getpass.getuser()}@{socket.gethostname()}"
+    by = arguments.by or f"{_user()}@{socket.gethostname()}"
     stopping = Sender(_settings(arguments), " ".join(arguments.reason), by)
     progress = Progress(stopping)
     try:

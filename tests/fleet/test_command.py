@@ -7,9 +7,11 @@ import os
 import pty
 import select
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,9 @@ from .standin import Standin
 FLEET = "failstop"
 PERIOD_S = 0.5
 NOBODY = 65534
+NO_ACCOUNT = 54321
+NAMES = ("LOGNAME", "USER", "LNAME", "USERNAME")
+"""The variables that may have the user's name."""
 
 
 @pytest.fixture
@@ -47,9 +52,14 @@ def config(broker: Standin, key: str, tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def publisher(broker: Standin, key: str, tmp_path: Path) -> Iterator[Robot]:
-    """A robot, connected."""
-    made = Robot(broker.settings(stop__key_file=key, robot__publish_s=PERIOD_S), "failstop", Pretended(), "r1",
+def robot() -> Pretended:
+    return Pretended()
+
+
+@pytest.fixture
+def publisher(broker: Standin, key: str, tmp_path: Path, robot: Pretended) -> Iterator[Robot]:
+    """That robot, connected."""
+    made = Robot(broker.settings(stop__key_file=key, robot__publish_s=PERIOD_S), "failstop", robot, "r1",
                  str(tmp_path))  # fmt: skip
     pump("its connection", lambda: made.broker.listening, made)
     made.broker.up_s -= LONG_AGO_S
@@ -108,6 +118,25 @@ def test_a_time_to_wait_that_is_none(wait: str, capsys: pytest.CaptureFixture[st
 def test_where_the_broker_is(given: str, where: str, capsys: pytest.CaptureFixture[str], key: str) -> None:
     main(["fleet", "stop", "--wait=0.1", "--broker", given, "--config", settings_of(key)])
     assert f"no broker at {where}" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
+def test_a_user_without_an_account_stops_the_fleet(
+    config: str, publisher: Robot, robot: Pretended, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container with `--user 54321`, where no variable has a name either."""
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    before = os.getuid()
+    os.setresuid(NO_ACCOUNT, -1, -1)
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            stopping = pool.submit(main, ["fleet", "stop", "smoke", "--config", config])
+            pump("its end", stopping.done, publisher)
+    finally:
+        os.setresuid(before, -1, -1)
+    assert stopping.result() == 0
+    assert robot.asked == [("smoke", f"uid {NO_ACCOUNT}@{socket.gethostname()}")]
 
 
 def settings_of(key: str) -> str:
