@@ -35,7 +35,12 @@ class Sender:
     def __init__(self, found: FleetSettings, reason: str, by: str) -> None:
         """Raises FleetError."""
         self.id = secrets.token_hex(16)
-        listed = settings.robots(found)
+        listed, self._unlisted = None, ""
+        # The list is only for counting, so a flaw in it must not keep the stop from the robots.
+        try:
+            listed = settings.robots(found)
+        except FleetError as error:
+            self._unlisted = str(error)
         self.listed = listed is not None
         """True if a file names the robots that must confirm."""
         self.tally = Tally(listed)
@@ -124,6 +129,8 @@ class Sender:
             found.append(f"the connection was lost in the meantime: {self.broker.problem}")
         elif self.sent_s is None:
             return found
+        if self._unlisted:
+            found.append(self._unlisted)
         if denied := self.broker.denied:
             found.append(f"the broker does not let you read {' and '.join(denied)}: check its access list")
         elif not self.heard_all and not self.broker.problem:

@@ -12,7 +12,7 @@ import re
 import socket
 
 from failstop import config
-from failstop.files import root
+from failstop.files import durable, root
 from failstop.files.instance import DEFAULT_NAME
 from failstop.fleet import FleetError
 from failstop.policy.setting import Setting, SettingError
@@ -174,7 +174,7 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
     if not path:
         return None
     try:
-        with open(path, encoding="utf-8") as file:
+        with open(durable.open_regular(path), encoding="utf-8") as file:
             names = {line.partition("#")[0].strip() for line in file} - {""}
     except (OSError, UnicodeError) as error:
         raise FleetError(f"stop.robots_file {path}: {getattr(error, 'strerror', None) or error}") from None

@@ -289,10 +289,49 @@ def test_an_old_list_hides_nobody(start: Start, enrol: Any, key: str, tmp_path: 
     assert [row.robot for row in sender.tally.missing()] == ["x2"]
 
 
-@pytest.mark.parametrize("text", ["", "\n\n", "# r1\n"])
-def test_an_empty_list_is_refused(key: str, tmp_path: Path, text: str) -> None:
-    names = tmp_path / "robots"
-    names.write_text(text)
-    found = FleetSettings({"stop.key_file": key, "stop.robots_file": str(names)})
-    with pytest.raises(FleetError, match="lists no robot: write one name per line"):
-        Sender(found, "smoke", "ann")
+def empty(names: Path) -> None:
+    names.write_text("\n# r1\n")
+
+
+def misspelt(names: Path) -> None:
+    names.write_text("r1\nr 2\n")
+
+
+def not_text(names: Path) -> None:
+    names.write_bytes(b"\xff\n")
+
+
+def missing(_names: Path) -> None:
+    pass
+
+
+@pytest.mark.parametrize(
+    ("flaw", "says"),
+    [
+        (empty, "lists no robot: write one name per line into it, or leave stop.robots_file empty"),
+        (misspelt, "'r 2' can't be a robot's name"),
+        (not_text, "'utf-8' codec can't decode"),
+        (missing, "No such file or directory"),
+        (os.mkfifo, "a FIFO, not a regular file"),
+    ],
+)
+def test_a_list_with_a_flaw_keeps_no_robot_from_the_stop(
+    start: Start, enrol: Any, key: str, tmp_path: Path, flaw: Callable[[Path], None], says: str
+) -> None:
+    """It is only for counting: what the broker knows is counted, and the flaw is a reason to look for more robots."""
+    flaw(names := tmp_path / "robots")
+    broker = start()
+    robot = Pretended()
+    here = enrol(broker, "r1", robot)
+    complete, sender = stop_all(operator(broker, key, stop__robots_file=str(names)), here)
+    assert len(robot.asked) == 1
+    assert (complete, sender.listed, sender.tally.missing()) == (False, False, [])
+    [doubt] = sender.doubts
+    assert doubt.startswith(f"stop.robots_file {names}")
+    assert says in doubt
+
+
+def test_without_a_broker_a_flaw_in_the_list_is_not_what_is_said(key: str, tmp_path: Path) -> None:
+    found = FleetSettings({"broker.port": 1, "stop.key_file": key, "stop.robots_file": str(tmp_path / "missing")})
+    with pytest.raises(FleetError, match="NO ROBOT WAS STOPPED: no broker at"):
+        Sender(found, "smoke", "ann").run(0.1)
