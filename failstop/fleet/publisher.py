@@ -12,6 +12,7 @@ import dataclasses
 import os
 import time
 
+from failstop.api import words
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.api.events import EventLog
@@ -145,7 +146,7 @@ class Publisher:
         """True while the newest obeyed stops are not saved. The publisher saves them after it has sent its answers,
         because the disk may be slow."""
         self._said_forged = 0
-        self._said_denied = self._said_doubled = ""
+        self._said_refuses = self._said_doubled = ""
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
@@ -171,10 +172,10 @@ class Publisher:
             standard.say(
                 self.broker.problem or f"the broker at {self.broker.where} knows this robot as {self.robot_id}"
             )
-        if (denied := self._denied()) != self._said_denied:
-            self._said_denied = denied
-            if denied:
-                standard.say(f"WARNING: this robot obeys no fleet stop: {denied}")
+        if (refuses := self._denied() or self._set_back()) != self._said_refuses:
+            self._said_refuses = refuses
+            if refuses:
+                standard.say(f"WARNING: this robot obeys no fleet stop: {refuses}")
         if (doubled := self.doubled()) != self._said_doubled:
             self._said_doubled = doubled
             standard.say(f"WARNING: {doubled}")
@@ -206,11 +207,23 @@ class Publisher:
 
     def deaf(self) -> str:
         """Return why this robot would not obey a fleet stop now. Empty if it would."""
-        return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
+        refuses = self._off or self.broker.problem or self._denied() or self._set_back()
+        return refuses or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
         denied = " and ".join(topic for topic in self.broker.denied if topic in self._stop_topics())
         return f"the broker does not let this robot read {denied}: check its access list" if denied else ""
+
+    def _set_back(self) -> str:
+        """Return until when this robot refuses every stop because its clock was set back, and what to do. Otherwise
+        empty."""
+        until_s = self._seen.floor_s
+        if until_s < time.time():
+            return ""
+        return (
+            f"it refuses every fleet stop until {words.clock(until_s)}, because its clock was set back: once the clock "
+            f"is right, remove {self._store} and restart the publisher"
+        )
 
     def doubled(self) -> str:
         """Return a warning if another publisher uses this robot's name, with what to do. Otherwise empty."""
@@ -280,7 +293,7 @@ class Publisher:
         """Return the publisher's own errors, such as forged stops. They are published along with the service's
         errors."""
         found = []
-        if off := self._off or self._denied():
+        if off := self._off or self._denied() or self._set_back():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
         if self.twins.others:
             text = f"another publisher also calls itself {self.robot_id}: set robot.id on one, restart both"

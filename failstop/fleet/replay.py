@@ -13,6 +13,7 @@ import json
 import re
 
 from failstop.api.words import span
+from failstop.fleet.message import LATEST_S
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,10 +32,12 @@ class Seen:
 
     def __init__(self, tolerance_s: float, ids: dict[str, float] | None = None, floor_s: float = UNKNOWN_S) -> None:
         """`tolerance_s`: how far a stop's date may differ from this robot's clock, s. `ids`: the date of each obeyed
-        stop, by id. Stops that are not newer than `floor_s` are refused. Dates are Unix time, s."""
+        stop, by id. `floor_s`: see below. Dates are Unix time, s."""
         self._tolerance_s = tolerance_s
         self._ids = dict(ids or {})
-        self._floor_s = floor_s
+        self.floor_s = floor_s
+        """Stops that are not newer than this are refused. It is in the future if this robot's clock was ahead when it
+        obeyed a stop, and was set back since."""
 
     def judge(self, stop_id: str, dated_s: float, now_s: float) -> str:
         """Judge a stop. Returns NEW if it must be obeyed, AGAIN if it was obeyed already, or the reason to refuse
@@ -46,7 +49,7 @@ class Seen:
         if not -self._tolerance_s <= off_s <= self._tolerance_s:
             side = "old by" if off_s < 0 else "ahead by"
             return f"dated {side} {span(abs(off_s))} on this robot's clock, and {self._tolerance_s:g} s are allowed"
-        if dated_s <= self._floor_s:
+        if dated_s <= self.floor_s:
             return "older than a stop that was obeyed already: this robot's clock was set back"
         return NEW
 
@@ -59,11 +62,11 @@ class Seen:
 
     def _forget(self, ids: Iterable[str]) -> None:
         for known in ids:
-            self._floor_s = max(self._floor_s, self._ids.pop(known))
+            self.floor_s = max(self.floor_s, self._ids.pop(known))
 
     def dump(self) -> bytes:
         """Return the content of the file that keeps the obeyed stops over a restart."""
-        return json.dumps({"ids": self._ids, "floor_s": self._floor_s}).encode()
+        return json.dumps({"ids": self._ids, "floor_s": self.floor_s}).encode()
 
     @classmethod
     def load(cls, data: bytes, tolerance_s: float) -> Seen:
@@ -71,6 +74,9 @@ class Seen:
         try:
             found = json.loads(data)
             ids = {str(known): float(date_s) for known, date_s in found["ids"].items()}
-            return cls(tolerance_s, ids, float(found["floor_s"]))
+            floor_s = float(found["floor_s"])
+            if not all(0.0 <= date_s <= LATEST_S for date_s in (*ids.values(), floor_s)):
+                raise ValueError("a date is out of range")
+            return cls(tolerance_s, ids, floor_s)
         except (TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(str(error)) from None

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from failstop.fleet import levels, signed, topics
+from failstop.api.words import clock
+from failstop.fleet import levels, message, signed, topics
 from failstop.fleet.broker import HEAR_S
 from failstop.fleet.levels import Order, StopAnswer
 from failstop.fleet.publisher import Publisher
+from failstop.fleet.replay import Seen
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.fleet.tally import MUTE, Tally
@@ -300,7 +302,36 @@ def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
     assert "a restart forgets which stops were obeyed" in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize("data", [b"", b"nonsense", b'{"ids": 3}'])
+def test_a_robot_whose_clock_was_set_back_says_that_it_refuses_stops(
+    enrol: Enrol, settings: FleetSettings, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It has obeyed stops while its clock was ahead. Once its file is removed, as it says, it obeys again."""
+    seen, ahead_s = Seen(10.0), time.time() + 3600.0
+    for number in range(2):
+        seen.obeyed(f"{number}" * 32, ahead_s + 11.0 * number, ahead_s + 11.0 * number)
+    store = tmp_path / "r1" / "fleet-stops.json"
+    store.parent.mkdir()
+    store.write_bytes(seen.dump())
+    robot = Pretended()
+    refusing = enrol("r1", robot)
+    assert refusing.deaf() == (
+        f"it refuses every fleet stop until {clock(ahead_s)}, because its clock was set back: once the clock is right, "
+        f"remove {store} and restart the publisher"
+    )
+    [error] = [row for row in refusing.own_errors(0.0) if row["kind"] == message.FLEET_STOP_OFF]
+    assert error["text"] == refusing.deaf()
+    refusing.turn(0.0)
+    assert "WARNING: this robot obeys no fleet stop: it refuses" in " ".join(capsys.readouterr().err.split())
+    assert not stop_all(settings, refusing, wait_s=0.5).all_confirmed()
+    refusing.close()
+
+    store.unlink()
+    again = enrol("r1", robot)
+    assert (again.deaf(), robot.asked) == ("", [])
+    assert stop_all(settings, again).all_confirmed()
+
+
+@pytest.mark.parametrize("data", [b"", b"nonsense", b'{"ids": 3}', b'{"ids": {}, "floor_s": 1e300}'])
 def test_a_damaged_store_keeps_nobody_from_stopping(
     enrol: Enrol, settings: FleetSettings, tmp_path: Path, data: bytes
 ) -> None:

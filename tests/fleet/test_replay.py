@@ -69,7 +69,19 @@ def test_over_a_restart() -> None:
     assert "set back" in Seen.load(again.dump(), 10.0).judge("a", NOW_S, NOW_S)
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b'{"ids": 7, "floor_s": 0}', b'{"ids": {"a": null}, "floor_s": 0}'])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"ids": 7, "floor_s": 0}',
+        b'{"ids": {"a": null}, "floor_s": 0}',
+        b'{"ids": {"a": NaN}, "floor_s": 0}',
+        b'{"ids": {}, "floor_s": 1e300}',
+        b'{"ids": {}, "floor_s": Infinity}',
+    ],
+)
 def test_what_is_remembered_can_be_damaged(data: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         Seen.load(data, 10.0)
