@@ -300,11 +300,31 @@ def _forget(arguments: Namespace) -> int:
         if (in_topic := known.get(name)) is None:
             raise FleetError(f"the broker at {broker.where} knows no robot {name!r}")
         _check_gone(roster.robots[in_topic], broker)
+        fleet = found.text("robot.fleet")
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
-            broker.say(topics.of_robot(found.text("robot.fleet"), in_topic, last), b"", retain=True)
+            broker.say(topics.of_robot(fleet, in_topic, last), b"", retain=True)
         _listen(broker, LIST_S, lambda: in_topic not in roster.robots)
-    standard.print_line(f"{name} is forgotten: a fleet stop no longer waits for it")
+        if in_topic in roster.robots:  # a broker may drop a message without telling its sender
+            where = topics.of_robot(fleet, name, "#")
+            raise FleetError(
+                broker.problem or f"the broker still knows {name}: its access list must let you read and write {where}"
+            )
+    if _listed(found, name):
+        standard.print_line(
+            f"{name} is forgotten by the broker, but a fleet stop still waits for it: remove it from "
+            f"stop.robots_file {found.text('stop.robots_file')} too"
+        )
+    else:
+        standard.print_line(f"{name} is forgotten: a fleet stop no longer waits for it")
     return 0
+
+
+def _listed(found: FleetSettings, name: str) -> bool:
+    """Return True if stop.robots_file lists the robot. False if that file can't be read: then a fleet stop doesn't use
+    it either."""
+    with contextlib.suppress(FleetError):
+        return name in (settings.robots(found) or ())
+    return False
 
 
 ACTIONS: dict[str, tuple[Callable[[Namespace], int], str]] = {

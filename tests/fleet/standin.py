@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from failstop.fleet.settings import FleetSettings
 
-MayRead = Callable[[str, str], bool]
+May = Callable[[str, str], bool]
 
 
 def matches(wanted: str, topic: str) -> bool:
@@ -53,10 +53,18 @@ class Link:
 class Standin:
     """A broker on a port of its own, in a thread. Killed and started again, it has forgotten everything."""
 
-    def __init__(self, may_read: MayRead = lambda _user, _topic: True, *, users_are_clients: bool = False) -> None:
-        """`may_read`: whether a user gets a message on a topic; `users_are_clients`: a second connection of a user
-        takes over the first one."""
+    def __init__(
+        self,
+        may_read: May = lambda _user, _topic: True,
+        may_write: May = lambda _user, _topic: True,
+        *,
+        users_are_clients: bool = False,
+    ) -> None:
+        """`may_read`: whether a user gets a message on a topic; `may_write`: whether a user's message on a topic is
+        taken, or dropped without a word; `users_are_clients`: a second connection of a user takes over the first
+        one."""
         self._may_read = may_read
+        self._may_write = may_write
         self._users_are_clients = users_are_clients
         self.port = 0
 
@@ -136,7 +144,8 @@ class Standin:
             if first & 0x06:
                 self._send(link, packet(0x40, body[at : at + 2]))
                 at += 2
-            self._publish(topic.decode(), body[at:], bool(first & 1))
+            if self._may_write(link.user, topic.decode()):
+                self._publish(topic.decode(), body[at:], bool(first & 1))
         elif kind == 8:
             self._subscribe(link, body)
         elif kind == 12:

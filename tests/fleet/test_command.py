@@ -30,6 +30,8 @@ from .standin import Standin
 FLEET = "failstop"
 PERIOD_S = 0.5
 NOBODY = 65534
+READER = "reader"
+"""A user of the broker who may write nothing."""
 NO_ACCOUNT = 54321
 NAMES = ("LOGNAME", "USER", "LNAME", "USERNAME")
 """The variables that may have the user's name."""
@@ -37,7 +39,7 @@ NAMES = ("LOGNAME", "USER", "LNAME", "USERNAME")
 
 @pytest.fixture
 def broker() -> Iterator[Standin]:
-    made = Standin()
+    made = Standin(may_write=lambda user, _topic: user != READER)
     made.start()
     yield made
     made.kill()
@@ -258,6 +260,39 @@ def test_a_robot_that_was_switched_off_while_the_broker_was_down_is_forgotten(co
     assert "the broker reports r2 as connected; waiting up to 4 s for a sign of life" in " ".join(done.stderr.split())
     topic = topics.of_robot(FLEET, "r2", topics.CONNECTION)
     pump("it to be taken off", lambda: somebody.last[topic] == b"", somebody)
+
+
+def test_a_robot_that_the_broker_keeps_is_not_called_forgotten(config: str, somebody: Listener) -> None:
+    keep(somebody, "r2", message.LOST)
+    Path(config).write_text(Path(config).read_text().replace("[broker]", f"[broker]\nuser = '{READER}'"))
+    done = failstop("fleet", "forget", "r2", "--config", config)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert (
+        "the broker still knows r2: its access list must let you read and write failstop/v1/failstop/robot/r2/#"
+        in " ".join(done.stderr.split())
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (
+            "r1\nr2\n",
+            "r2 is forgotten by the broker, but a fleet stop still waits for it: remove it from stop.robots_file",
+        ),
+        ("r1\n", "r2 is forgotten: a fleet stop no longer waits for it"),
+        ("", "r2 is forgotten: a fleet stop no longer waits for it"),
+    ],
+)
+def test_a_robot_that_is_forgotten_may_still_be_listed(
+    config: str, somebody: Listener, tmp_path: Path, names: str, says: str
+) -> None:
+    keep(somebody, "r2", message.LOST)
+    (tmp_path / "robots").write_text(names)
+    with Path(config).open("a") as file:
+        file.write(f"robots_file = '{tmp_path / 'robots'}'\n")
+    done = failstop("fleet", "forget", "r2", "--config", config)
+    assert (done.returncode, " ".join(done.stdout.split())[: len(says)]) == (0, says)
 
 
 def test_a_robot_that_is_alive_is_not_forgotten(config: str, publisher: Robot) -> None:
