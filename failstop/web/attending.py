@@ -11,7 +11,7 @@ from failstop.web.lease import Lease
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from failstop.web.viewer import Viewer
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Attending:
     """Keeps track of the operators who attend the robot through the page."""
 
-    def __init__(self, name: str, ended: Callable[[Viewer], None]) -> None:
-        """`ended` is called with each viewer that stops attending."""
+    def __init__(self, name: str, ended: Callable[[Viewer, Collection[Viewer]], None]) -> None:
+        """`ended` is called with each viewer that stops attending or leaves, and with the viewers that still attend."""
         self._name = name
         self._ended = ended
         self._robot: Robot | None = None
@@ -46,7 +46,7 @@ class Attending:
         once."""
         last = self._last()
         found = self._leases.pop(viewer, None)
-        self._ended(viewer)
+        self._ended(viewer, self._leases.keys())
         if found is not None and found is last:
             self._renew()
 

@@ -18,6 +18,8 @@ from failstop.policy.settings import FIRST_SOURCE, UNATTENDED_DRIVE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from failstop.api.state import State
     from failstop.policy.settings import Settings
     from failstop.web.devices import Device
@@ -127,10 +129,13 @@ class Driving:
             self._driver = None
             self._drive(viewer.who(), 0.0, 0.0, None)
 
-    def end(self, viewer: Viewer) -> None:
+    def end(self, viewer: Viewer, attending: Collection[Viewer]) -> None:
         """Note that the viewer no longer attends. If this viewer drives the robot, stop the robot at once. The operator
-        must choose a speed limit before driving again."""
-        if device := viewer.device():
+        must choose a speed limit before driving again, unless the device still attends through another viewer, such as
+        another tab. `attending`: the viewers that still attend."""
+        if (device := viewer.device()) and device.id not in {
+            found.id for each in attending if (found := each.device())
+        }:
             self._chosen.discard(device.id)
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)

@@ -204,6 +204,21 @@ def test_the_speed_limit_is_chosen_first_and_again_each_time(trial: Trial, web: 
         assert motion(trial)
 
 
+@pytest.mark.parametrize("attends", [False, True])
+def test_another_tab_of_the_device_that_ends_does_not_stop_it(
+    trial: Trial, web: Web, anna: dict[str, str], *, attends: bool
+) -> None:
+    """Nor does an old connection of it, which ends when the phone has a new one."""
+    with ready(trial, web, anna) as viewer:
+        with Viewer(web, anna) as tab:
+            if attends:
+                tab.attend()
+            viewer.stay(0.3, FORWARD)
+        viewer.stay(0.4, FORWARD)
+        assert trial.robot.state.body_vel.vx_mps > 0
+        assert told(viewer) == []
+
+
 def test_a_stick_that_is_held_while_motion_is_enabled_moves_nothing(
     trial: Trial, web: Web, anna: dict[str, str]
 ) -> None:
