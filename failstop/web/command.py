@@ -57,11 +57,7 @@ def _serve(arguments: Namespace) -> int:
     from failstop.web import server
 
     settings, source = _settings(arguments)
-    try:
-        asyncio.run(server.serve(arguments.name, settings, source))
-    except OSError as error:
-        where = f"{settings.text('web.address')}, port {int(settings['web.port'])}"
-        raise FailstopError(f"the page can't listen at {where}: {error.strerror}") from None
+    asyncio.run(server.serve(arguments.name, settings, source))
     return 0
 
 

@@ -270,7 +270,7 @@ class Story(Guarded):
         elif (content := self.page.incidents.picture(identity)) is None:
             self.refuse(NOT_YET, "not yet")
         elif not content:
-            self.refuse(404, "no picture, because it needs matplotlib on the robot")
+            self.refuse(404, "no picture, because the robot lacks matplotlib or room on its disk")
         else:
             self.set_header("Content-Type", "image/png")
             self.set_header("Cache-Control", "private, max-age=86400, immutable")

@@ -42,7 +42,8 @@ class Incidents:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._pictures = tempfile.TemporaryDirectory(prefix="failstop-web-")
+        self._pictures: tempfile.TemporaryDirectory[str] | None = None
+        """The folder for pictures. It is made for the first picture, so that the page starts on a full disk too."""
         self._made: dict[str, Made] = {}
         self._making: asyncio.Task[None] | None = None
         self._cards: list[dict[str, Any]] = []
@@ -89,10 +90,11 @@ class Incidents:
         if said is None:
             return
         made.story = _near(json.loads(said)["story"] if said else [])
-        path = os.path.join(self._pictures.name, f"{identity}.png")
-        if await self._command("plot", identity, "-o", path) is None:
-            return
         try:
+            self._pictures = self._pictures or tempfile.TemporaryDirectory(prefix="failstop-web-")
+            path = os.path.join(self._pictures.name, f"{identity}.png")
+            if await self._command("plot", identity, "-o", path) is None:
+                return
             with open(path, "rb") as file:
                 made.picture = file.read()
             os.unlink(path)
@@ -108,12 +110,13 @@ class Incidents:
         """Run `failstop incident` with these arguments, and return its output. Returns b"" if the command failed, and
         None if it took longer than MAKE_S. After None, the next viewer's request runs the command again."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
+        folder = {"MPLCONFIGDIR": self._pictures.name} if self._pictures else {}
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL,
-            env={**os.environ, "MPLBACKEND": "Agg", "MPLCONFIGDIR": self._pictures.name},
+            env={**os.environ, "MPLBACKEND": "Agg", **folder},
         )
         try:
             said, _ = await asyncio.wait_for(made.communicate(), MAKE_S)
@@ -128,7 +131,8 @@ class Incidents:
         """Cancel the story or picture that is being made, and remove the folder with the pictures."""
         if self._making:
             self._making.cancel()
-        self._pictures.cleanup()
+        if self._pictures:
+            self._pictures.cleanup()
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
+from failstop.api.errors import FailstopError
 from failstop.web import addresses, control, handlers, sockets
 from failstop.web.connections import BoundedServer
 from failstop.web.page import Page
@@ -50,13 +51,15 @@ def application(page: Page) -> Application:
 
 
 async def serve(name: str, settings: Settings, source: Source) -> None:
-    """Serve the page until SIGTERM or SIGINT. Raises FailstopError, or OSError if the page can't listen at its
-    address."""
+    """Serve the page until SIGTERM or SIGINT. Raises FailstopError."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)  # malformed requests must not fill the journal
     # tornado's timers use the wall clock. If it were set back by an hour, the state would not be read for an hour.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
     page = Page(name, settings, source)
-    listening = bind_sockets(page.port, page.address)
+    try:
+        listening = bind_sockets(page.port, page.address)
+    except OSError as error:
+        raise FailstopError(f"the page can't listen at {page.address}, port {page.port}: {error.strerror}") from None
     page.port = listening[0].getsockname()[1]
     bounded = BoundedServer(application(page), ssl_options=page.tls, names=page.names)
     page.let_in = bounded.let_in

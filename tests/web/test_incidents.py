@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 
 import pytest
 
@@ -49,3 +50,22 @@ def test_what_was_not_ready_in_time_is_made_again_and_is_not_called_impossible(l
 
     asyncio.run(ask())
     assert ran.count(late) == 2
+
+
+def test_without_room_for_a_picture_there_is_a_story(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a full disk."""
+    monkeypatch.setattr(tempfile, "tempdir", "/nowhere")
+
+    async def command(*_words: str) -> bytes | None:
+        return b'{"story": []}'
+
+    async def ask() -> None:
+        made = incidents.Incidents("robot")
+        made._command = command  # type: ignore[assignment,method-assign]
+        assert made.story("one") == (None, None)
+        assert made._making
+        await made._making
+        assert made.story("one") == ([], False)
+        made.close()
+
+    asyncio.run(ask())

@@ -7,11 +7,13 @@ import os
 import signal
 import socket
 import time
+from pathlib import Path
 
 import pytest
 
 from failstop.web import assets, guard
 from failstop_lab.trial import Trial, judge, wait_for
+from tests.support.commands import failstop
 from tests.web.parts import HEADERS, Web
 from tests.web.viewer import Viewer
 
@@ -138,6 +140,31 @@ def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
         with Viewer(alone, path="/api/stop/live") as stopping:
             stopping.send(stop="a")
             assert "no service" in stopping.next()["error"]
+
+
+NO_TEMPORARY_FILES = """
+import sys, tempfile
+from failstop.cli.main import main
+tempfile.tempdir = "/nowhere"
+sys.exit(main(sys.argv[1:]))
+"""
+"""A program as on a full disk, where no folder for temporary files can be made."""
+
+
+def test_without_room_for_temporary_files_the_page_starts_and_stops(trial: Trial, tmp_path: Path) -> None:
+    trial.robot.reset()
+    with Web(trial.name, state=str(tmp_path), program=("-c", NO_TEMPORARY_FILES)) as page:
+        status, said = page.post("/api/stop")
+        assert (status, said["written"]) == (200, True)
+        assert page.close() == 0
+    wait_for("the latch", lambda: trial.robot.state.estop)
+
+
+def test_a_page_that_cannot_listen_says_where(web: Web) -> None:
+    done = failstop("web", "--name", "web-nobody", "--port", str(web.port))
+    assert (done.returncode, done.stdout) == (1, "")
+    said = " ".join(done.stderr.split())
+    assert f"the page can't listen at 127.0.0.1, port {web.port}: Address already in use" in said
 
 
 def test_without_pairing_nobody_may(web: Web) -> None:

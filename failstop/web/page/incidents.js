@@ -35,7 +35,7 @@ async function open(card, identity) {
     const {story, picture} = await inTurn((signal) => ask(`${base}/story`, signal)).catch(() => ({}));
     if (story && !list.childElementCount) list.replaceChildren(...story.map(line));
     if (picture) whole = await inTurn((signal) => show(wait, `${base}/picture`, signal)).then(() => true, () => false);
-    else if (picture === false) { whole = true; wait.textContent = "There is no picture, because it needs matplotlib on the robot."; }
+    else if (picture === false) { whole = true; wait.textContent = "There is no picture, because the robot lacks matplotlib or room on its disk."; }
   }
 }
 
