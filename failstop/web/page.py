@@ -174,3 +174,4 @@ class Page:
         self.driving.close()
         self.workers.close()
         self.incidents.close()
+        self._storage.close()

@@ -72,8 +72,8 @@ async def serve(name: str, settings: Settings, source: Source) -> None:
     await ended.wait()
     bounded.stop()
     commands.stop()
+    control.remove(page.control_path)  # while the folder is locked: later it could be the socket of the next page
     page.close()
-    control.remove(page.control_path)
     for socket_ in (*page.viewers, *page.stops.all()):
         socket_.close(1001, "the page is stopping")
     await bounded.close_all_connections()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import secrets
 import ssl
@@ -46,16 +47,33 @@ def folders(name: str, environ: Mapping[str, str]) -> list[str]:
 
 
 class Storage:
-    """The folder with a running page's files. Only this page writes to it."""
+    """The folder with a running page's files. Only this page writes to it, so the page locks it: another page would
+    write back devices that were revoked at this one."""
 
     def __init__(self, place: str) -> None:
-        """Makes the folder if it does not exist. Raises FailstopError."""
+        """Makes the folder if it does not exist, and locks it until close(). Raises FailstopError, also if another page
+        has locked it."""
         self.place = place
         try:
             os.makedirs(place, exist_ok=True)
             os.chmod(place, 0o700)
+            # The lock is on the folder itself, because a full disk has no room for another file.
+            self._locked = os.open(place, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
             _fail(place, error)
+        try:
+            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.close()
+            raise FailstopError(
+                f"another page runs with the files in {place}: end it, or give this one another XDG_STATE_HOME"
+            ) from None
+        except OSError:
+            pass  # this file system has no locks
+
+    def close(self) -> None:
+        """Unlock the folder. Call it when the page ends."""
+        os.close(self._locked)
 
     def path(self, name: str) -> str:
         """Return the path of a file in the folder."""

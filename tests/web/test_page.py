@@ -161,7 +161,7 @@ def test_without_room_for_temporary_files_the_page_starts_and_stops(trial: Trial
 
 
 def test_a_page_that_cannot_listen_says_where(web: Web) -> None:
-    done = failstop("web", "--name", "web-nobody", "--port", str(web.port))
+    done = failstop("web", "--name", "web-taken", "--port", str(web.port))
     assert (done.returncode, done.stdout) == (1, "")
     said = " ".join(done.stderr.split())
     assert f"the page can't listen at 127.0.0.1, port {web.port}: Address already in use" in said

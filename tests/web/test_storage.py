@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import subprocess
 from collections.abc import Iterator
@@ -104,3 +105,31 @@ def test_a_device_that_can_only_be_revoked_until_a_restart_is_told_so(tmp_path: 
         assert "Anna is revoked, and back after a restart of the page: " in said.stderr
         assert "devices.json: Is a directory" in said.stderr
         assert web.post("/api/disable", headers=headers)[0] == 401, "at once all the same"
+
+
+def test_a_second_page_with_the_same_files_is_refused(tmp_path: Path) -> None:
+    """It would have devices of its own: a device that was revoked at one page would be back with the other one."""
+    config = tmp_path / "web.toml"
+    config.write_text(PAIRING)
+    folder = tmp_path / "state"
+    with Web("kept-twice", "--config", str(config), state=str(folder)) as web:
+        headers = web.pair("Anna")
+        second = web.command("--port", "0", "--config", str(config))
+        assert (second.returncode, second.stdout) == (1, "")
+        said = " ".join(second.stderr.split())
+        assert f"another page runs with the files in {folder}: end it, or give this one another XDG_STATE_HOME" in said
+        identity = web.command("devices").stdout.split()[0]
+        assert web.command("revoke", identity).returncode == 0
+        assert web.post("/api/disable", headers=headers)[0] == 401
+        web.process.kill()
+        web.process.wait()
+        with Web("kept-twice", "--config", str(config), state=str(folder)) as again:
+            assert again.post("/api/disable", headers=headers)[0] == 401
+
+
+def test_where_a_folder_cannot_be_locked_the_page_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flock(_fd: int, _how: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    Storage(str(tmp_path)).close()
