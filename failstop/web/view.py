@@ -12,6 +12,7 @@ from failstop.api import distance, steps, verdict, wheels, words
 from failstop.api.snapshot import Block
 from failstop.api.steps import Purpose
 from failstop.api.why import HOLDS, UNTIMED, meaning, since, troubles
+from failstop.messages import layout
 from failstop.policy import proofs
 
 TYPE_CHECKING = False
@@ -44,6 +45,7 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "why": _why(state),
         "since": since(state, events, now_s)[0],
         "epoch": state.epoch,
+        "run": state.processes[layout.SUPERVISOR].pid,
         "next": steps.pressed(state, steps.HERE, events),
         "next_driver": steps.pressed(state, steps.BY_STICK, events),
         "next_unpaired": steps.pressed(state, steps.ELSEWHERE, events),
@@ -93,6 +95,7 @@ def absent(note: str) -> dict[str, Any]:
         "why": words.sentence(note),
         "since": None,
         "epoch": 0,
+        "run": 0,
         "next": steps.NO_SERVICE.pressed,
         "next_driver": steps.NO_SERVICE.pressed,
         "next_unpaired": steps.NO_SERVICE.pressed,

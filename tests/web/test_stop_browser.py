@@ -159,6 +159,30 @@ def test_a_state_from_before_a_stop_that_comes_after_the_word_of_it_ends_nothing
     trial.robot.limit_speed(1.0)
 
 
+@pytest.mark.parametrize("contact", [True, False])
+def test_a_restart_of_the_service_ends_the_stop_on_the_button(browser: Browser, *, contact: bool) -> None:
+    """The robot drives again, in a run that counts its stops from the beginning, whether the page saw the restart or
+    not."""
+    with Trial(f"stop-anew-{os.getpid()}") as own, Web(own.name) as page, Front(page.port) as front:
+        tab = browser.tab(front.url)
+        tab.until(SEEN)
+        tab.run("addEventListener('view', ({detail}) => { window.view = detail; })")
+        before = driving(own)
+        stops_soon(own, tab, before)
+        tab.until(f"window.view && view.latched && {SAID}.includes('acknowledged')")
+        if not contact:
+            front.to = 9
+            front.cut()
+            tab.until(f"{WORD} === 'NO CONTACT'")
+        own.service.end()
+        own.service.start()
+        assert driving(own) == before
+        front.to = page.port
+        tab.until("view.enabled")
+        assert "written" not in tab.run(SAID)
+        tab.open("about:blank")
+
+
 def test_stop_is_tried_until_it_is_written_however_long(trial: Trial, front: Front, browser: Browser) -> None:
     """A network that delivers nothing, and then does."""
     tab = browser.tab()

@@ -71,6 +71,7 @@ function showStop() {
   const last = halt ? `${halt.reason} (${clock(halt.t)}); ${halt.lacks}` : known || "none since the service was started";
   text("last-reason", halt && stop ? `${last}. The last latched stop was earlier: ${known}` : last);
   $("last-proof").hidden = !stop || !!halt; // the times of an earlier stop say nothing about this one
+  if (own) followOwn();
   if (!stop) return;
   for (const item of $("last-proof").children) {
     const level = item.dataset.level, when = stop[level];
@@ -81,13 +82,7 @@ function showStop() {
     item.dataset.said = shown;
     item.replaceChildren(level, node("b", shown));
   }
-  if (own === null) return;
-  if (view.latched) own.epoch = view.epoch;
-  else {
-    // A reset ends it. A state from before the stop may still arrive after the stop's answer, and does not count.
-    if (view.epoch >= own.epoch) { own = null; dispatchEvent(new Event("unstopped")); }
-    return;
-  }
+  if (own === null || !view.latched) return;
   const first = stop.t >= own.asked - 0.5;
   if (first && !stop.written) {
     text("stop-said", `NOT SENT: use the POWER SWITCH`);
@@ -98,6 +93,16 @@ function showStop() {
   const said = proofs.map((proof) => `\u2713\u00a0${proof}`).join("  ");
   text("stop-said", first ? said : `${said}; a stop was latched already`);
   $("stop").dataset.phase = proofs.at(-1);
+}
+
+// A reset ends it, and so does a restart of the service: then another run counts the stops from the beginning. A state from before the
+// stop may still arrive after the stop's answer, and does not count.
+function followOwn() {
+  if (view.latched) Object.assign(own, {epoch: view.epoch, run: view.run});
+  else if (view.epoch >= own.epoch || view.epoch < before || (view.run && view.run !== own.run)) {
+    own = null;
+    dispatchEvent(new Event("unstopped"));
+  }
 }
 
 function showFacts() {
@@ -191,7 +196,7 @@ function news(message) {
 addEventListener("stopping", () => { before = view ? view.epoch : 0; });
 addEventListener("stopped", (event) => {
   speak("STOP was written", "");
-  own = {asked: event.detail.asked, epoch: before + 1};
+  own = {asked: event.detail.asked, epoch: before + 1, run: (event.detail.view || view || {}).run};
   if (event.detail.view && !(view && event.detail.view.epoch < view.epoch)) { view = event.detail.view; heard = performance.now(); show(); }
 });
 addEventListener("device", ({detail}) => {
