@@ -74,6 +74,10 @@ class Guard:
         """The bytes that the board has sent lately, each with its time."""
         self._who = A_DRIVER
         """The driver's name, for people. If several programs have the port open, all of their names."""
+        self._known: dict[int, Opener] = {}
+        """The programs that have had the port open during this conversation, by pid."""
+        self._unknown = False
+        """True if a program that /proc does not show has had the port open during this conversation."""
         self._crowded = False
         """True if the port was open too many times at the last count. If one of the programs ends, this stays True
         until its end is handled."""
@@ -210,8 +214,8 @@ class Guard:
             self._talk = None
         if new or not self._door.count:
             self._begin(self._talk)
-        elif self._who != (who := " or ".join(self._openers())):
-            self._who = who
+        elif self._add_openers():
+            self._who = " or ".join(self._openers())
             self._board.rename(*self._shown())
         crowded, self._crowded = self._crowded, self._door.crowded
         if self._crowded and not crowded:
@@ -273,29 +277,33 @@ class Guard:
             self._who = A_DRIVER
             self._board.join(GUARD, None)
         else:
+            self._known, self._unknown = {}, False
+            self._add_openers()
             openers = self._openers()
             self._who = " or ".join(openers)
             self._tell(f"{' and '.join(openers)} {'has' if len(openers) == 1 else 'have'} the port open")
             self._board.join(*self._shown())
         self._said_ns = 0
 
-    def _openers(self) -> list[str]:
-        """The programs that have the port open, for people."""
-        return [*map(str, self._door.seen.values()), *self._hidden()]
+    def _add_openers(self) -> bool:
+        """Remember the programs that have the port open now. Returns True if there are more of them than before."""
+        before = len(self._known), self._unknown
+        self._known |= self._door.seen
+        self._unknown |= self._door.count > sum(opener.times for opener in self._door.seen.values())
+        return (len(self._known), self._unknown) != before
 
-    def _hidden(self) -> list[str]:
-        """A name for the programs that have the port open and that /proc does not show. Empty if there are none."""
-        shown = sum(opener.times for opener in self._door.seen.values())
-        return [A_DRIVER] if self._door.count > shown else []
+    def _openers(self) -> list[str]:
+        """The programs of this conversation, for people."""
+        return [*map(str, self._known.values()), *[A_DRIVER] * self._unknown]
 
     def _shown(self) -> tuple[str, int | None]:
         """The name and the pid under which the service shows the driver. If several programs have the port open, the
         name has all of them, because nobody can say which of them drives, and a program that lives must not be named as
         the one that has died."""
-        seen, hidden = list(self._door.seen.values()), self._hidden()
-        if len(seen) == 1 and not hidden:
-            return seen[0].name, seen[0].pid
-        names = list(dict.fromkeys([*(opener.name for opener in seen), *hidden]))
+        known = list(self._known.values())
+        if len(known) == 1 and not self._unknown:
+            return known[0].name, known[0].pid
+        names = list(dict.fromkeys([*(opener.name for opener in known), *[A_DRIVER] * self._unknown]))
         room = records.WHO_BYTES // len(names) - len(" or ")
         return " or ".join(records.cut(name, room).decode() for name in names), None
 

@@ -261,6 +261,32 @@ def test_of_several_programs_none_is_named_alone(desk: Desk, drives: str) -> Non
 
 
 @pytest.mark.parametrize("desk", [{"guard.openers": 2}], indirect=True)
+def test_a_program_that_dies_during_the_search_is_not_ended_under_the_name_of_the_next_one(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search leaves out who is dying, and the kernel reports the close only afterwards."""
+    first, second = desk.script("first"), desk.script("second")
+    desk.do(first, OPEN, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    search, searching = desk.door.recount, []
+
+    def recount(meanwhile: Callable[[], None]) -> None:
+        searching.append(True)
+        search(meanwhile)
+        searching.clear()
+
+    monkeypatch.setattr(desk.door, "recount", recount)
+    monkeypatch.setattr("failstop.guard.door.dying", lambda pid: bool(searching) and pid == first.child.pid)
+    desk.do(second, OPEN)
+    desk.until(lambda: set(desk.door.seen) == {second.child.pid}, "only the second one to be seen")
+    assert desk.board.shown == ("first or second", None)
+    monkeypatch.undo()
+    first.child.kill()
+    desk.says(f"first (pid {first.child.pid}) or second (pid {second.child.pid}) has ended or died, and the last speed")
+    desk.until(lambda: desk.board.shown == ("second", second.child.pid), "the second one to have the port to itself")
+
+
+@pytest.mark.parametrize("desk", [{"guard.openers": 2}], indirect=True)
 def test_two_programs_with_long_names_are_both_named(desk: Desk) -> None:
     first, second = desk.script("a" * 60), desk.script("b" * 60)
     desk.do(first, OPEN)
