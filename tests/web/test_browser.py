@@ -90,7 +90,7 @@ def test_a_wrong_code_is_told(tab: Tab) -> None:
     tab.tap("#pair summary")
     tab.run("document.getElementById('code').value = '0000-0000'")
     tab.tap("#pair button")
-    tab.until("document.getElementById('pair-why').textContent.includes('there is no code to enter now')")
+    tab.until("document.getElementById('pair-why').textContent.includes('no code is valid now')")
 
 
 def test_space_in_a_field_is_a_space(trial: Trial, tab: Tab) -> None:
@@ -213,7 +213,7 @@ def test_a_lower_speed_takes_a_touch_and_a_higher_one_is_held(trial: Trial, pair
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.25)
     paired.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '25'")
     stands = distance.WITHIN.format(distance.furthest(Settings(dict(trial.robot.settings)), 0.25)[0])
-    paired.until(f"document.getElementById('facts').textContent.includes('Stands{stands}')")
+    paired.until(f"document.getElementById('facts').textContent.includes('Stops{stands}')")
     lift = paired.press("#limit [data-percent='100']")
     paired.until("document.querySelector('#limit .held') !== null")
     lift()

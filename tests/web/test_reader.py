@@ -113,7 +113,7 @@ def test_every_control_has_a_name_and_stop_says_what_it_does(tab: Tab) -> None:
     assert [row["name"] for row in found if row["role"] == "heading" and row["level"] == 1] == [tab.run(WORD)]
     assert [row for row in found if row["role"] in CONTROLS and not row["name"]] == []
     (stop,) = [row for row in found if row["role"] == "button" and row["name"] == "STOP"]
-    assert "Space and Escape" in stop["description"]
+    assert "Space or Escape" in stop["description"]
 
 
 def test_what_is_announced_is_a_short_list(tab: Tab) -> None:
@@ -123,7 +123,7 @@ def test_what_is_announced_is_a_short_list(tab: Tab) -> None:
 
 def test_a_pairing_without_a_pointer(web: Web, tab: Tab) -> None:
     press(tab, "Pair this device")
-    type_in(tab, "Code of", web.code())
+    type_in(tab, "Code that", web.code())
     type_in(tab, "Name of this device", "Anna")
     press(tab, "Pair")
     tab.until("!document.getElementById('buttons').hidden")

@@ -102,7 +102,7 @@ def test_no_limit_is_marked_as_chosen_before_it_was_and_the_reason_is_to_be_seen
         tab.tap("#attend")
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Dora",))
     tab.until(f"{PRESSED} === ''")
-    assert "choose one to drive" in tab.text("#limit-how")
+    assert "choose one before you drive" in tab.text("#limit-how")
     tab.run("document.getElementById('stick').scrollIntoView({block: 'end'})")
     lift = thumb(tab)
     tab.until("document.getElementById('drive-why').textContent.includes('choose the speed limit first')")
@@ -124,6 +124,13 @@ def test_a_stick_that_is_taken_before_the_device_attends_says_what_comes_first(t
     takes_stick(trial, tab)
     finger(tab, 0.0, 0.5)
     assert tab.text("#drive-why") == ""
+    trial.robot.disable()
+    tab.until("document.getElementById('drive-why').textContent.startsWith('Motion is disabled now.')")
+    assert not tab.run(HELD)
+    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    finger(tab, 0.0, 0.5)
+    assert tab.text("#drive-why") == "Not now: motion is disabled. Enable it, then hold the stick."
+    assert not tab.run(HELD)
     tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
 
@@ -233,7 +240,7 @@ def test_a_device_that_is_revoked_is_told_at_once(web: Web, browser: Browser) ->
     phone.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
     phone.run("document.getElementById('device-name').value = 'Rita'")
     phone.tap("#pair button")
-    phone.until("document.getElementById('role').textContent.startsWith('Rita')")
+    phone.until("document.getElementById('role').textContent.includes('(Rita)')")
     rows = [line.split() for line in web.command("devices").stdout.splitlines()]
     [identity] = [row[0] for row in rows if row[-1] == "Rita"]
     assert web.command("revoke", identity).returncode == 0

@@ -120,6 +120,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
 function showLimit() {
   if (performance.now() - askedAt > ASKED_MS) chosen = true;
   $("limit").dataset.percent = limit;
+  $("limit").dataset.chosen = chosen;
   $("limit-how").textContent = `${chosen ? "" : "choose one before you drive; "}tap to lower, hold 2 s to raise`;
   for (const button of document.querySelectorAll("#limit button")) {
     button.setAttribute("aria-pressed", chosen && Number(button.dataset.percent) === limit);

@@ -7,7 +7,7 @@ const GAP_MS = 300; // without a question from the robot for this long, the comm
 const STEP = 0.01;
 const KEYS = {ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1]};
 const stick = $("stick"), knob = $("knob"), pressed = new Set();
-let wanted = null, asked = -Infinity, may = false, needed = false, mode = "";
+let wanted = null, asked = -Infinity, may = false, needed = false, enabled = false, mode = "";
 
 function draw() {
   const [forward, turn] = wanted || [0, 0];
@@ -40,11 +40,14 @@ export function command() {
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 
-// While this device does not attend, the stick sends nothing, so say why it has no effect.
+// If the stick can have no effect, it sends nothing, so say what must be done first.
 function ready() {
-  const attends = $("attend").getAttribute("aria-pressed") === "true";
-  $("drive-why").textContent = attends ? "" : "Not now: press ATTEND first.";
-  return attends;
+  let first = "";
+  if ($("attend").getAttribute("aria-pressed") !== "true") first = "press ATTEND first";
+  else if ($("limit").dataset.chosen === "false") first = "choose the speed limit first";
+  else if (!enabled) first = "motion is disabled. Enable it, then hold the stick";
+  $("drive-why").textContent = first && `Not now: ${first}.`;
+  return !first;
 }
 
 function follow({clientX, clientY}) {
@@ -76,7 +79,8 @@ addEventListener("lease", ({detail}) => { if (detail.drive) release(`Not now: ${
 function show() { $("drive").hidden = !(may && needed); }
 addEventListener("view", ({detail}) => {
   needed = detail.attended !== null;
-  if (!detail.enabled) release();
+  enabled = detail.enabled;
+  if (!enabled) release("Motion is disabled now. Enable it, then hold the stick again.");
   show();
 });
 addEventListener("device", ({detail}) => { may = !!detail.device && !!detail.drive; if (!may) release(); show(); });
