@@ -77,6 +77,15 @@ def test_a_program_takes_back_the_motion_that_it_enabled(
     assert trial.robot.state.enabled is enabled
 
 
+def test_motion_that_somebody_else_has_enabled_since_is_not_taken_back(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    assert driver.do("enable -1") == OK
+    trial.robot.disable()
+    trial.robot.enable()
+    assert driver.do("close") == OK
+    assert trial.robot.state.enabled
+
+
 def test_a_stop_latches_and_the_words_are_python_s(trial: Trial, driver: Driver) -> None:
     driver.connect(trial.name)
     set_off(trial, driver)

@@ -255,8 +255,9 @@ FS_API FS_MUST_LOOK int fs_open(fs_robot **robot, const char *service, const cha
 FS_API FS_MUST_LOOK int fs_connect(fs_robot *robot);
 
 /**
- * Close the handle and give the slot back. If this handle was driving, the wheels stop at once. Motion that it enabled
- * is disabled, for which it waits up to a second; call fs_keep_enabled() before if you don't want that.
+ * Close the handle and give the slot back. If this handle was driving, the wheels stop at once. Motion that it enabled,
+ * and that nobody else has enabled again since, is disabled, for which it waits up to a second; call fs_keep_enabled()
+ * before if you don't want that.
  *
  * A program that ends without it has died, for the service: after it has driven, motion is disabled, or a stop is
  * latched (setting gate.driver_death). NULL is fine. No other thread may use the handle meanwhile, or afterwards.

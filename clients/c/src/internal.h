@@ -252,6 +252,7 @@ struct fs_robot {
   pthread_mutex_t writing; /* of the request's records */
   uint64_t number;
   atomic_bool enabled; /* this handle has enabled motion, as far as it knows */
+  atomic_ullong enabled_ns; /* when motion was enabled, as its own enable was granted; 0: not known */
   atomic_bool keep_enabled;
 
   _Atomic int last; /* the last error */

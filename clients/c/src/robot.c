@@ -354,11 +354,21 @@ static bool outlived(const fs_robot *robot) {
   return !robot->commanded_ns || !strcmp(setting, "stay");
 }
 
+/* Whether the motion that is enabled now may be what this handle has enabled, and not what somebody else has enabled
+ * since. */
+static bool is_own_motion(const fs_robot *robot) {
+  unsigned long long own_ns = atomic_load(&robot->enabled_ns);
+  if (!own_ns) return true;
+  struct fsi_decided decided;
+  fsi_decide(robot, &decided);
+  return decided.enabled_ns == own_ns;
+}
+
 static void end(fs_robot *robot, bool in_order) {
   if (!robot) return;
   bool whole = !fsi_is_forked(robot) && robot->slot >= 0 && !fsi_over(robot->run);
   bool disables = whole && atomic_load(&robot->enabled) && !atomic_load(&robot->keep_enabled);
-  if (disables && (in_order || outlived(robot))) fs_disable(robot, FS_DEFAULT_TIMEOUT);
+  if (disables && is_own_motion(robot) && (in_order || outlived(robot))) fs_disable(robot, FS_DEFAULT_TIMEOUT);
   int cancels = begin_slot();
   leave(robot, in_order);
   unlist(robot);
@@ -569,6 +579,8 @@ static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) 
   if (result != FS_OK) return result;
   uint64_t asked_ns = fsi_now_ns();
   bool enables = verb == VERB_ENABLE, before = atomic_load(&robot->enabled);
+  unsigned long long before_ns = atomic_load(&robot->enabled_ns);
+  if (enables) atomic_store(&robot->enabled_ns, 0);
   if (timeout_s >= 0 && timeout_s <= 0) {
     if (enables) atomic_store(&robot->enabled, true);
     send_request(robot, verb, seen, asked_ns, &result);
@@ -587,6 +599,7 @@ static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) 
     if (done == REPLY_REFUSED) {
       result = FS_REFUSED;
       if (enables) atomic_store(&robot->enabled, before);
+      if (enables) atomic_store(&robot->enabled_ns, before_ns);
       break;
     }
     if (done == REPLY_UNDER_WAY) {
@@ -606,6 +619,11 @@ static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) 
   }
   if (mine) pthread_mutex_unlock(&robot->turn);
   if (result == FS_OK && verb == VERB_DISABLE) atomic_store(&robot->enabled, false);
+  if (result == FS_OK && enables) {
+    struct fsi_decided decided;
+    fsi_decide(robot, &decided);
+    atomic_store(&robot->enabled_ns, decided.enabled_ns);
+  }
   return result;
 }
 
