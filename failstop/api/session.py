@@ -157,13 +157,16 @@ class Session:
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
-        if self._own_motion not in (None, self._motion()):
-            return False
+        if (own := self._own_motion) and own[1]:
+            with contextlib.suppress(FailstopError):  # then nobody knows, so it is disabled
+                if (now := self._motion())[1] and now != own:
+                    return False
         return in_order or not connected.drove or self.settings["gate.driver_death"] == "stay"
 
     def _motion(self) -> tuple[str, int]:
         """Identify the motion that is enabled at present, as (the run's name in shared memory, when it was enabled in
-        ns). Somebody who enables motion again gets another time. Raises NoService, FailstopError."""
+        ns). Somebody who enables motion again gets another time. The time is 0 if motion is disabled, and also while
+        the supervisor is silent. Raises NoService, FailstopError."""
         with self._lock:
             run = self._current()
             return run.found[0], run.decided()[0].get("enabled_ns", 0)

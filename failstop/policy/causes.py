@@ -420,7 +420,7 @@ BATTERY = Kind(
     23, "battery", "the battery is at {volts:.2f} V", "telemetry",
     "the battery was at {volts:.2f} V, and had been below the setting battery.stop_mv for 5 s or more",
     "charge it; you may reset and drive to the charger, because failstop stops for this again only after the battery "
-    "has been charged or the service was restarted",
+    "has been charged or swapped, or the service was restarted",
 )  # fmt: skip
 STOPPING = Kind(
     19, "stopping", "service is stopping", "supervisor",

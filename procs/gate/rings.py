@@ -33,8 +33,9 @@ class Frames:
 class GateBox:
     """The gate's part of the black box: one record per tick, with the newest command and the resulting speeds.
 
-    If several sources send, the newest command is often not the one that drives. So that each driving command has a
-    record too, its record comes first, and the newest command waits for the next tick.
+    If several sources send, the newest command is often not the one that drives. So that the driving commands have
+    records too, at every second tick at least, such a record comes first, and the newest command waits for the next
+    tick.
     """
 
     def __init__(self, ring: RingWriter) -> None:
@@ -42,6 +43,8 @@ class GateBox:
         self._newest = self._driver = NONE_YET
         """The newest command, and the newest driving command that has a record."""
         self._count = 0
+        self._left = False
+        """True if the newest command had to wait at the last tick."""
 
     def command(self, command: Command) -> None:
         """Record that a command came, whether it was accepted or not."""
@@ -51,7 +54,12 @@ class GateBox:
     def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
         command, left, driver = self._newest, 0, core.sources.driving(now_ns)
         # A command that was ignored, or that stopped the robot, is never left for later: it is not fresh in any source.
-        if driver and driver not in (command, self._driver) and core.sources.fresh(command.source, now_ns) is command:
+        if (
+            driver
+            and not self._left
+            and driver not in (command, self._driver)
+            and core.sources.fresh(command.source, now_ns) is command
+        ):
             command, left = driver, min(self._count, 1)
         drives = driver is command
         self._driver = command if drives else self._driver
@@ -62,6 +70,6 @@ class GateBox:
         speeds = len(core.speeds)
         room = (0.0,) * (box.MOST_SPEEDS - speeds)
         numbers = (*map(box.single, command.velocity), *core.velocity, *core.speeds, *room)
-        count, self._count = min(self._count - left, 255), left
+        count, self._count, self._left = min(self._count - left, 255), left, bool(left)
         head = (epoch & box.MOST_U32, block, flags, count, speeds, age_us)
         self._ring.put(box.TICK.pack(*head, *numbers, source, who), now_ns)

@@ -22,6 +22,9 @@ CHARGED_NS = 60_000_000_000
 The voltage of an empty battery also rises when the motors stop, but only by a few percent. A charge raises a lithium
 cell from about 3.4 V to 4.2 V. The state of the charger is not used here, because with large motors the voltage jumps
 at each stop as if a charger were plugged in."""
+SWAPPED_NS = 5_000_000_000
+"""If the board has reported no battery for this long, the battery may have been swapped. A charged battery of a flat
+chemistry may be below CHARGED_PERCENT."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
@@ -40,8 +43,8 @@ HEADER = "unix_s,battery_mv,enabled\n"
 
 
 class LowBattery:
-    """Stops the robot if the voltage stays below the setting battery.stop_mv, once until the battery has been charged.
-    If the setting is -1, nothing is stopped."""
+    """Stops the robot if the voltage stays below the setting battery.stop_mv, once until the battery has been charged
+    or swapped. If the setting is -1, nothing is stopped."""
 
     def __init__(self, settings: Settings) -> None:
         self._least_mv = settings["battery.stop_mv"]
@@ -52,11 +55,15 @@ class LowBattery:
         low."""
         self._high_since_ns: int | None = None
         self._has_stopped = False
-        """True from a stop until the battery has been charged."""
+        """True from a stop until the battery has been charged or swapped."""
+        self._last_ns: int | None = None
 
     def add(self, millivolts: int, t_ns: int) -> Cause | None:
         """Add a reading. Returns the cause of a stop if the voltage has just been low for long enough, otherwise
         None."""
+        if self._last_ns is not None and t_ns - self._last_ns >= SWAPPED_NS:
+            self._low_since, self._high_since_ns, self._has_stopped = None, None, False
+        self._last_ns = t_ns
         if millivolts >= self._least_mv:
             self._low_since = None
             self._look_for_charge(millivolts, t_ns)

@@ -189,10 +189,14 @@ def test_a_command_that_drives_has_a_tick_though_another_source_sent_the_newest(
         ("teleop", True, 1),
         ("cmd_vel", False, 1),
         ("teleop", True, 1),
-        ("teleop", True, 2),
-        ("cmd_vel", False, 1),
+        ("cmd_vel", False, 3),
+        ("teleop", True, 0),
         ("cmd_vel", False, 1),
     ]
+
+
+def test_of_two_sources_that_send_in_every_tick_both_are_recorded() -> None:
+    assert [source for source, _, _ in two_send(*["tc"] * 6)] == ["teleop", "cmd_vel"] * 3
 
 
 def test_a_command_that_drives_only_since_another_source_fell_silent_has_a_tick() -> None:

@@ -263,7 +263,7 @@
      "look at `failstop events`, which may still show it"}, \
     {23, "battery", \
      "the battery is at {volts:.2f} V", \
-     "charge it; you may reset and drive to the charger, because failstop stops for this again only after the battery has been charged or the service was restarted"}, \
+     "charge it; you may reset and drive to the charger, because failstop stops for this again only after the battery has been charged or swapped, or the service was restarted"}, \
     {24, "fleet", \
      "stop request[: {words}] (says it is the fleet, for {who})", \
      "make sure that the reason for the stop is gone"}, \

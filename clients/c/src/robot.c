@@ -355,13 +355,13 @@ static bool outlived(const fs_robot *robot) {
 }
 
 /* Whether the motion that is enabled now may be what this handle has enabled, and not what somebody else has enabled
- * since. */
+ * since. The time is 0 if motion is disabled, and also while the supervisor is silent: then nobody knows. */
 static bool is_own_motion(const fs_robot *robot) {
   unsigned long long own_ns = atomic_load(&robot->enabled_ns);
   if (!own_ns) return true;
   struct fsi_decided decided;
   fsi_decide(robot, &decided);
-  return decided.enabled_ns == own_ns;
+  return !decided.enabled_ns || decided.enabled_ns == own_ns;
 }
 
 static void end(fs_robot *robot, bool in_order) {

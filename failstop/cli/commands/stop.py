@@ -180,8 +180,10 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
                 standard.print_line(done)
                 if problem:
                     standard.say(problem)
+                # The port may be only a guess, and the robot that was meant may be at another one.
+                doubtful = name != order.name and not target.wanted() and target.stopped_by_another(name)
                 target.complain()
-                return int(target.unproved)
+                return int(target.unproved or doubtful)
             why_not.append(problem)
             target.learn(ask.port_of(name), ask.owner_of(name))
         target.asked.append(name)
@@ -508,14 +510,15 @@ class Target:
         service. The service does not know of the stop, so it sends the next motion frame at its usual time."""
         if not self._held or self.asked:
             return False
-        by, ways = self._holders()
+        by, names = self._holders()
+        ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
         ask = f", or {ways} as the user who started it" if ways else ""
         standard.say(f"{by} was not asked, still has {self.device()} and may drive on: use the POWER SWITCH{ask}")
         return True
 
-    def _holders(self) -> tuple[str, str]:
-        """Return (the processes that have the port open, the commands that ask those that are services and were not
-        asked), both as text. The second text is empty if no such service is found."""
+    def _holders(self) -> tuple[str, list[str]]:
+        """Return (the processes that have the port open, as text; the names of those that are services and were not
+        asked)."""
         try:
             # imported only here, because it looks at every process of the computer
             from failstop.doctor.system import System
@@ -525,8 +528,7 @@ class Target:
             holders = ()
         who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
         services = dict.fromkeys(it.instance for it in holders if it.instance and it.instance not in self.asked)
-        ways = (f"`failstop stop{instance.option(name)}`" for name in services)
-        return ", ".join(who) or "another process", " or ".join(ways)
+        return ", ".join(who) or "another process", list(services)
 
     def complain(self) -> None:
         """Print the mistakes in the settings file. Call this after the stop, because printing may be delayed."""
@@ -552,6 +554,18 @@ class Target:
         )
         return True
 
+    def stopped_by_another(self, name: str) -> bool:
+        """Print a warning and return True if the service `name`, which has stopped its robot, may have another port
+        than the robot that the user meant. Call this only if the user has named no port, and meant a service that is
+        not running."""
+        if not self._is_last():
+            return self.doubtful()
+        standard.say(
+            f"no service {self._name!r} runs, and {name!r} has {self.device()} now, the port of its last run. If that "
+            "is not the board, name its port with --device"
+        )
+        return True
+
     def explained(self, error: PortError) -> str:
         """Return the reason why no stop was written, and what to do. The text names the process that holds the port, if
         that process can be found."""
@@ -564,11 +578,13 @@ class Target:
             return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
-        by, ways = self._holders()
+        by, names = self._holders()
         asked = f"; asked without success: {', '.join(self.asked)}" if self.asked else ""
-        sudo = f"`sudo failstop stop --device {device}`, which writes anyway" if os.geteuid() else ""
-        or_ask = f", or {ways or sudo}" if ways or sudo else ""
-        return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{or_ask}"
+        # A service that this user's command can't reach would not be asked by it either.
+        ways = [f"`failstop stop{instance.option(name)}`" for name in names if instances.listens(name)]
+        if os.geteuid():
+            ways.append(f"`sudo failstop stop --device {device}`, which writes anyway")
+        return f"{device} is held exclusively by {by}{asked}: {', or '.join(['use the POWER SWITCH', *ways])}"
 
 
 def _end_service() -> bool:

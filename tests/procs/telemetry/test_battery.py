@@ -183,6 +183,19 @@ def log(**changed: object) -> BatteryLog:
     return BatteryLog(Settings({f"battery.{key}": value for key, value in changed.items()}))
 
 
+@pytest.mark.parametrize(("away_ns", "again"), [(5 * S - 1, False), (5 * S, True)])
+def test_a_battery_that_was_away_may_have_been_swapped(away_ns: int, again: bool) -> None:
+    """A charged one may be less than 10 % above the setting."""
+    tested = LowBattery(Settings({"battery.stop_mv": 12_800}))
+    for second in range(6):
+        stopped = tested.add(12_700, second * S)
+    assert stopped is not None
+    back_ns = 5 * S + away_ns
+    assert [tested.add(13_300, back_ns + second * S) for second in range(70)] == [None] * 70
+    found = [tested.add(12_700, back_ns + (70 + second) * S) for second in range(6)]
+    assert (found[-1] is not None) is again
+
+
 def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
     assert HEADER == "unix_s,battery_mv,enabled\n"
     for enabled, after_s, line, day in (
