@@ -123,10 +123,12 @@ def absent(note: str) -> dict[str, Any]:
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
     """Return the last stop, with its three proofs in words, or None if there was no stop. A missing proof is "". For a
-    missing proof, `lacks` has the reason, or "" if the reason is not known."""
+    missing proof, `lacks` has the reason, or "" if the reason is not known. `id` stays the same for one stop, while `t`
+    changes if the clock is set."""
     if stop is None:
         return None
     return {
+        "id": str(stop.noticed_ns),
         "reason": stop.reason,
         "t": stop.t,
         "written": _written(stop),

@@ -79,6 +79,7 @@ addEventListener("lease", ({detail}) => { if (detail.drive) release(`Not now: ${
 function show() { $("drive").hidden = !(may && needed); }
 addEventListener("view", ({detail}) => {
   needed = detail.attended !== null;
+  if (detail.enabled && !enabled) $("drive-why").textContent = ""; // what had to be done is done
   enabled = detail.enabled;
   if (!enabled) release("Motion is disabled now. Enable it, then hold the stick again.");
   show();

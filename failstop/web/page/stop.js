@@ -105,7 +105,7 @@
 
   async function stop() {
     const id = Math.random().toString(36).slice(2);
-    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.t};
+    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.id};
     const sent = send(id);
     dispatchEvent(new Event("stopping")); // requests that can wait give up their connections
     // Work of the browser on a picture or a request would delay the bytes of the websocket.
@@ -138,7 +138,7 @@
   // The robot's state may show that a stop is written before any answer does.
   addEventListener("view", ({detail}) => {
     view = detail;
-    const newer = now && view.latched && view.stop && view.stop.written && view.stop.t !== now.before;
+    const newer = now && view.latched && view.stop && view.stop.written && view.stop.id !== now.before;
     if (newer) done(now, {asked: now.asked || view.stop.t, written: true});
   });
   addEventListener("paired", connect); // the robot looks at the pairing only when a connection begins
