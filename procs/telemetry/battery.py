@@ -34,7 +34,7 @@ seconds."""
 SETTLE_NS = 3_000_000_000
 """How long motion must have been disabled, in ns, before a step in the voltage counts as the charger's. When the motors
 begin or end to draw current, the voltage also makes a step, of up to 170 mV."""
-APART_NS = 250_000_000
+KEPT_APART_NS = 250_000_000
 """The shortest time between two readings that are kept. Some boards send 100 a second, and to keep the readings of
 JUMP_WINDOW_NS would be much work."""
 
@@ -104,7 +104,7 @@ class Charger:
     def add(self, millivolts: int, t_ns: int) -> bool:
         """Add a reading. Returns True if it has changed `state`."""
         known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS]
-        if not known or t_ns - known[-1][0] >= APART_NS:
+        if not known or t_ns - known[-1][0] >= KEPT_APART_NS:
             self._readings = [*known, (t_ns, millivolts)]
         base = sorted(mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS)
         since_ns = self._disabled_since_ns

@@ -62,7 +62,7 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     assert f"do {start}, then `failstop incident show last --name {trial.name}`" in said(why.stdout)
     assert json.loads(run(trial, "why", "--json").stdout)["do"][0] == start
     assert events.returncode == 3
-    assert "the last run ended is saved only when the service is started again" in run(trial, "incident", "show").stderr
+    assert left.SAVED_LATER in run(trial, "incident", "show").stderr
     assert "motion enabled by trial" in events.stdout, "its memory still has what it told"
 
     trial.service.start()

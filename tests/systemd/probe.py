@@ -84,7 +84,7 @@ ATTEMPTS: dict[str, Callable[[], object]] = {
     "see /proc/1": lambda: os.stat("/proc/1"),
     "signal to another's process": lambda: os.kill(os.getppid(), signal.SIGCONT),
     "device of memory": device(1, 11),
-    "device of a serial port that is not the board's": device(4, 64),
+    "device of a serial port that is not the board's": device(207, 16),
     "inet socket": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM),
     "netlink socket": lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW),
     "unix socket": lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM),

@@ -221,7 +221,8 @@ def test_what_stands_in_the_way() -> None:
 def test_the_three_levels_of_a_stop() -> None:
     stop = states.stop(acknowledged_s=None, observed_s=None)
     assert view.stop_of(stop) == {
-        "id": str(stop.noticed_ns), "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": "",
+        "id": str(stop.noticed_ns), "reason": "key1", "t": NOW_S - 12,
+        "written": "0.21 ms", "acknowledged": "", "observed": "",
         "lacks": {"written": "NO: the board accepts no bytes", "acknowledged": "", "observed": ""},
     }  # fmt: skip
     assert view.stop_of(None) is None
@@ -230,7 +231,8 @@ def test_the_three_levels_of_a_stop() -> None:
 def test_a_clock_that_is_set_makes_no_new_stop() -> None:
     """The page takes another `id` for a stop that was latched since somebody pressed STOP."""
     before, after = (view.stop_of(states.stop(t=t, noticed_ns=7)) for t in (NOW_S, NOW_S + 3600.0))
-    assert before and after
+    assert before
+    assert after
     assert (before["id"], before["t"] == after["t"]) == (after["id"], False)
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery import (
-    APART_NS,
     HEADER,
+    KEPT_APART_NS,
     LOW_READINGS,
     PLUGGED_IN,
     UNDECIDED,
@@ -120,7 +120,7 @@ def test_of_readings_that_come_together_one_is_kept() -> None:
     """A flood counts as one reading in the median, and the next one as another."""
     tested = charger()
     readings(tested, 11_000, *[11_800] * 5_000, every_ns=1)
-    readings(tested, 11_001, start_ns=APART_NS)
+    readings(tested, 11_001, start_ns=KEPT_APART_NS)
     assert not tested.add(11_190, 5 * S)
     assert tested.add(11_191, 5 * S)
 
