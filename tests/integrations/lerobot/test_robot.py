@@ -155,7 +155,8 @@ def in_a_finally(robot: Failstop, error: BaseException) -> None:
 def by_with(robot: Failstop, error: BaseException) -> None:
     robot.disconnect()
     with robot:
-        robot.send_action(STILL)
+        # A program whose first command the gate has not taken yet is no driver.
+        until(lambda: robot.send_action(STILL) and robot._connected().state.sources)
         raise error
 
 
