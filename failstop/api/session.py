@@ -122,7 +122,7 @@ class Session:
         """True if this Robot has enabled motion. If the answer to enable() does not arrive, this is True too, because
         the gate may have enabled motion."""
         self._own_motion: tuple[str, int] | None = None
-        """What _motion() returned when this Robot had enabled motion. None if it is not known."""
+        """What _motion() returned when this Robot had enabled motion."""
         self._pending: tuple[int, object] | None = None
         """(thread, task) that waits for the gate's answer to a request. `thread` is the thread's id. `task` is an
         object that stands for a task of an event loop, or None if the whole thread waits. None if nobody waits."""
@@ -157,19 +157,20 @@ class Session:
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
-        if (own := self._own_motion) and own[1]:
+        if own := self._own_motion:
             with contextlib.suppress(FailstopError):  # then nobody knows, so it is disabled
-                if (now := self._motion())[1] and now != own:
+                if (now := self._motion()) and now != own:
                     return False
         return in_order or not connected.drove or self.settings["gate.driver_death"] == "stay"
 
-    def _motion(self) -> tuple[str, int]:
+    def _motion(self) -> tuple[str, int] | None:
         """Identify the motion that is enabled at present, as (the run's name in shared memory, when it was enabled in
-        ns). Somebody who enables motion again gets another time. The time is 0 if motion is disabled, and also while
-        the supervisor is silent. Raises NoService, FailstopError."""
+        ns). Somebody who enables motion again gets another time. None if motion is disabled, and also while the
+        supervisor is silent. Raises NoService, FailstopError."""
         with self._lock:
             run = self._current()
-            return run.found[0], run.decided()[0].get("enabled_ns", 0)
+            enabled_ns = run.decided()[0].get("enabled_ns")
+            return (run.found[0], enabled_ns) if enabled_ns else None
 
     def _end(self, *, in_order: bool) -> None:
         """Give the client slot back, for good."""

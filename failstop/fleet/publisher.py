@@ -172,7 +172,7 @@ class Publisher:
             standard.say(
                 self.broker.problem or f"the broker at {self.broker.where} knows this robot as {self.robot_id}"
             )
-        if (refuses := self._denied() or self._set_back()) != self._said_refuses:
+        if (refuses := self._refuses()) != self._said_refuses:
             self._said_refuses = refuses
             if refuses:
                 standard.say(f"WARNING: this robot obeys no fleet stop: {refuses}")
@@ -207,8 +207,12 @@ class Publisher:
 
     def deaf(self) -> str:
         """Return why this robot would not obey a fleet stop now. Empty if it would."""
-        refuses = self._off or self.broker.problem or self._denied() or self._set_back()
+        refuses = self._off or self.broker.problem or self._refuses()
         return refuses or ("" if self.broker.listening else NOT_LISTENING)
+
+    def _refuses(self) -> str:
+        """Return why this robot would obey no fleet stop although it is connected. Empty if it would."""
+        return self._denied() or self._set_back()
 
     def _denied(self) -> str:
         denied = " and ".join(topic for topic in self.broker.denied if topic in self._stop_topics())
@@ -293,7 +297,7 @@ class Publisher:
         """Return the publisher's own errors, such as forged stops. They are published along with the service's
         errors."""
         found = []
-        if off := self._off or self._denied() or self._set_back():
+        if off := self._off or self._refuses():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
         if self.twins.others:
             text = f"another publisher also calls itself {self.robot_id}: set robot.id on one, restart both"

@@ -53,8 +53,14 @@ MOST_NAMED = 3
 
 
 _UNEXPECTED = (
-    *(LookupError, TypeError, ValueError, AttributeError, ArithmeticError),
-    *(RecursionError, OSError, struct.error),
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+    OSError,
+    struct.error,
 )
 """What code raises if a file has values that failstop does not write."""
 

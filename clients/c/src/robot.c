@@ -354,14 +354,19 @@ static bool outlived(const fs_robot *robot) {
   return !robot->commanded_ns || !strcmp(setting, "stay");
 }
 
+/* When the motion was enabled that is enabled now; 0 if there is none. Not inlined, so that its large buffer takes no room
+ * on the stacks of its callers. */
+static __attribute__((noinline)) unsigned long long enabled_since(const fs_robot *robot) {
+  struct fsi_decided decided;
+  fsi_decide(robot, &decided);
+  return decided.enabled_ns;
+}
+
 /* Whether the motion that is enabled now may be what this handle has enabled, and not what somebody else has enabled
  * since. The time is 0 if motion is disabled, and also while the supervisor is silent: then nobody knows. */
 static bool is_own_motion(const fs_robot *robot) {
-  unsigned long long own_ns = atomic_load(&robot->enabled_ns);
-  if (!own_ns) return true;
-  struct fsi_decided decided;
-  fsi_decide(robot, &decided);
-  return !decided.enabled_ns || decided.enabled_ns == own_ns;
+  unsigned long long own_ns = atomic_load(&robot->enabled_ns), now_ns = own_ns ? enabled_since(robot) : 0;
+  return !own_ns || !now_ns || now_ns == own_ns;
 }
 
 static void end(fs_robot *robot, bool in_order) {
@@ -598,8 +603,10 @@ static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) 
     if (done == REPLY_DONE) break;
     if (done == REPLY_REFUSED) {
       result = FS_REFUSED;
-      if (enables) atomic_store(&robot->enabled, before);
-      if (enables) atomic_store(&robot->enabled_ns, before_ns);
+      if (enables) {
+        atomic_store(&robot->enabled, before);
+        atomic_store(&robot->enabled_ns, before_ns);
+      }
       break;
     }
     if (done == REPLY_UNDER_WAY) {
@@ -619,11 +626,7 @@ static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) 
   }
   if (mine) pthread_mutex_unlock(&robot->turn);
   if (result == FS_OK && verb == VERB_DISABLE) atomic_store(&robot->enabled, false);
-  if (result == FS_OK && enables) {
-    struct fsi_decided decided;
-    fsi_decide(robot, &decided);
-    atomic_store(&robot->enabled_ns, decided.enabled_ns);
-  }
+  if (result == FS_OK && enables) atomic_store(&robot->enabled_ns, enabled_since(robot));
   return result;
 }
 

@@ -14,7 +14,7 @@ const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawSeldom = seldom(drawLive);
 const drawn = {}; // the content of each list, which is rebuilt only when that changes, because each rebuild costs a layout
-let view = null, live = null, paired = false, drives = false, heard = -Infinity, behind = 0, before = 0, since = undefined, own = null, waits = false, spoken = "";
+let view = null, live = null, paired = false, drives = false, heard = -Infinity, behind = 0, before = 0, earlier = undefined, own = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -84,7 +84,7 @@ function showStop() {
   }
   if (own === null || !view.latched) return;
   // Whether this touch has latched it. Without a view from before the touch, only the times can show it.
-  const first = own.since === undefined ? stop.t >= own.asked - 0.5 : stop.id !== own.since;
+  const first = own.earlier === undefined ? stop.t >= own.asked - 0.5 : stop.id !== own.earlier;
   if (first && !stop.written) {
     text("stop-said", `NOT SENT: use the POWER SWITCH`);
     $("stop").dataset.phase = "failed";
@@ -196,11 +196,11 @@ function news(message) {
 
 addEventListener("stopping", () => {
   before = view ? view.epoch : 0;
-  since = view ? view.stop && view.stop.id : undefined;
+  earlier = view ? view.stop && view.stop.id : undefined;
 });
 addEventListener("stopped", (event) => {
   speak("STOP was written", "");
-  own = {asked: event.detail.asked, since, epoch: before + 1, run: (event.detail.view || view || {}).run};
+  own = {asked: event.detail.asked, earlier, epoch: before + 1, run: (event.detail.view || view || {}).run};
   if (event.detail.view && !(view && event.detail.view.epoch < view.epoch)) { view = event.detail.view; heard = performance.now(); show(); }
 });
 addEventListener("device", ({detail}) => {
