@@ -9,12 +9,14 @@ import argparse
 import os
 import sys
 import time
+from typing import Any
 
 from bench import arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.setup.ending import interruptible
+from failstop_lab.faults import report as campaigns
 from failstop_lab.trial import Trial
 
 
@@ -46,7 +48,9 @@ def main() -> int:
     with open(config, "w", encoding="utf-8") as file:
         file.write(visit.OPTIONS_TOML)
     rows: list[Row] = []
-    start_s = time.monotonic()
+    # Of the beginning: somebody may commit while it runs.
+    known: dict[str, Any] = {"commit": campaigns.commit(), "command": " ".join(("python -m bench", *sys.argv[1:]))}
+    start_s, ticks = time.monotonic(), campaigns.processor_ticks()
     carriers = Carriers()
     with carriers, Trial(options=("--config", config)) as trial:
         realtime = all(process.realtime for process in trial.robot.state.processes.values())
@@ -69,8 +73,8 @@ def main() -> int:
         lambda: oneway.measure(arguments.messages, progress),
     ):
         rows += report.whole(part)
-    machine = {"realtime": realtime, "pty carriers": carriers.priority, "took_s": round(time.monotonic() - start_s)}
-    return report.end(rows, arguments.out, machine)
+    known |= {"realtime": realtime, "pty carriers": carriers.priority, "took_s": round(time.monotonic() - start_s)}
+    return report.end(rows, arguments.out, {**known, "steal": campaigns.stolen_share(ticks)})
 
 
 if __name__ == "__main__":

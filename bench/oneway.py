@@ -188,7 +188,7 @@ def _measure(name: str, condition: str = "") -> str:
 
 def row_of(name: str, samples: list[int], condition: str = "") -> stats.Row:
     """Row of one transport; `condition`: words about the receiver."""
-    p50, p99 = (float(value) for value in np.percentile(np.array(samples) / 1e3, (50, 99)))
+    p50, p99 = (float(value) for value in np.percentile(np.array(samples) / 1e3, (50, 99), method=stats.NEAREST))
     numbers = {"p50_us": p50, "p99_us": p99, "max_us": max(samples) / 1e3, "samples": len(samples)}
     return stats.Row(_measure(name, condition), f"p50 {p50:.1f}  p99 {p99:.1f} us", "-", None, numbers)
 

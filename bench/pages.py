@@ -1,4 +1,4 @@
-"""`python -m bench.pages bench/out/bench.json`: put every row of a run into the table of docs/reference/measured.md.
+"""`python -m bench.pages bench/out/bench.json`: put a run, with how it ran, into docs/reference/measured.md.
 
 Afterwards `make docs` renews the table of README.md, which is made from that page and from docs/reference/faults.md.
 """
@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from failstop_lab.pages import marked
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "reference" / "measured.md"
@@ -79,22 +81,33 @@ def line(row: dict[str, Any]) -> str:
     return f"| {row['measure']} | {row['result']} | {row['bar']} | {VERDICT[row['met']]} |"
 
 
-def renewed(page: str, rows: list[dict[str, Any]]) -> str:
-    """The page with the run's rows as its first table of measures, in the run's order. Raises ValueError for a page
-    without one."""
-    before, found, after = page.partition(HEAD)
+def ran(machine: dict[str, Any]) -> str:
+    """When a run was made and on what, as a paragraph. `machine`: the facts that the run wrote about itself."""
+    rights = "with" if machine["realtime"] else "without"
+    return (
+        f"**The run** is of {machine['date']}, at {machine['commit'] or 'no commit'}: {machine['cores']} cores, kernel "
+        f"{machine['kernel']}, Python {machine['python']}, {rights} real-time rights, and the pty's bytes are "
+        f"carried at {machine['pty carriers']} priority. It took {machine['took_s']} s, and the host took away "
+        f"{machine['steal']:.1%} of the processors' time. `{machine['command']}`"
+    )
+
+
+def renewed(page: str, run: dict[str, Any]) -> str:
+    """The page with the run's rows as its first table of measures, in the run's order, and with how it ran. Raises
+    ValueError for a page without one."""
+    before, found, after = marked.renewed(page, "run", ran(run["machine"])).partition(HEAD)
     if not found:
         raise ValueError("the page has no table of measures")
     rest = after.partition("\n\n")[2]
-    return f"{before}{HEAD}" + "\n".join(map(line, folded(rows))) + f"\n\n{rest}"
+    return f"{before}{HEAD}" + "\n".join(map(line, folded(run["rows"]))) + f"\n\n{rest}"
 
 
 def main() -> None:
     """Rewrite the page."""
     parser = argparse.ArgumentParser(prog="python -m bench.pages", description=__doc__)
     parser.add_argument("run", help="JSON of a run")
-    rows = json.loads(Path(parser.parse_args().run).read_text())["rows"]
-    PAGE.write_text(renewed(PAGE.read_text(), rows))
+    run = json.loads(Path(parser.parse_args().run).read_text())
+    PAGE.write_text(renewed(PAGE.read_text(), run))
 
 
 if __name__ == "__main__":

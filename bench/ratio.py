@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.stats import NEAREST
+
 Round = tuple[Sequence[float], Sequence[float]]
 """The samples of one round: the other commit's samples, and this one's."""
 
@@ -81,7 +83,7 @@ class _Side:
         self._samples, self._round = samples[order], of_round[order]
         self._share = percentile / 100
         self.size = samples.size
-        self.value = float(np.percentile(samples, percentile)) if samples.size else float("nan")
+        self.value = float(np.percentile(samples, percentile, method=NEAREST)) if samples.size else float("nan")
 
     def redrawn(self, drawn: NDArray[Any]) -> NDArray[Any]:
         """The percentile of each resample; `drawn`: how often each round is in it."""

@@ -208,7 +208,8 @@ def tick_row(soak: Soak, judged: bool) -> stats.Row:
     found = ticks.stretches(soak.events, soak.commanded_ns)
     late = [late_ns for stretch in found for late_ns in ticks.lateness_ns(*stretch, period_ns)]
     samples_ms = np.array(late, dtype=float) / 1e6
-    p50, p99, p999 = (float(v) for v in np.percentile(samples_ms, (50, 99, 99.9))) if late else (np.nan,) * 3
+    ranks = np.percentile(samples_ms, (50, 99, 99.9), method=stats.NEAREST) if late else (np.nan,) * 3
+    p50, p99, p999 = (float(value) for value in ranks)
     most = max(late, default=0) / 1e6
     over = sum(ns > LATE_MS * 1e6 for ns in late)
     numbers = {"ticks": len(late), "p50_ms": p50, "p99_ms": p99, "p999_ms": p999, "max_ms": most, "over": over}

@@ -1,11 +1,17 @@
-"""Rows of the table: a measure, its samples, its bar."""
+"""Rows of the table: a measure, its samples, its bar.
+
+A percentile is one of the samples, by nearest rank, so of 100 samples or fewer the p99 is the largest.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+
+NEAREST: Literal["inverted_cdf"] = "inverted_cdf"
+"""Numpy's name of the nearest rank."""
 
 
 @dataclasses.dataclass
@@ -23,14 +29,14 @@ def percentiles(samples_ns: list[int]) -> tuple[float, float, float]:
     """(p50, p99, max) in milliseconds."""
     if not samples_ns:
         return float("nan"), float("nan"), float("nan")
-    p50, p99 = np.percentile(np.array(samples_ns) / 1e6, (50, 99))
+    p50, p99 = np.percentile(np.array(samples_ns) / 1e6, (50, 99), method=NEAREST)
     return float(p50), float(p99), max(samples_ns) / 1e6
 
 
 def timing(measure: str, samples_ns: list[int], *, p50_ms: float | None, p99_ms: float | None) -> Row:
     """A row of percentiles with bars in milliseconds."""
     p50, p99, most = percentiles(samples_ns)
-    result = f"p50 {p50:.2f}  p99 {p99:.2f}  max {most:.2f} ms"
+    result = f"p50 {p50:.2f}  p99 {p99:.2f}  max {most:.2f} ms of {len(samples_ns)}"
     bars, met = [], True
     if p50_ms is not None:
         bars.append(f"p50 < {p50_ms:g} ms")

@@ -6,7 +6,9 @@ from typing import Any
 
 from bench import pages
 
-HEAD = f"# Measured\n\n{pages.HEAD}"
+HEAD = f"# Measured\n\n<!-- run: generated -->\nold\n<!-- end of run -->\n\n{pages.HEAD}"
+RAN = {"date": "2026-01-02", "commit": "abc", "cores": 2, "kernel": "6.1", "python": "3.11", "realtime": True}
+RAN |= {"pty carriers": "real-time", "took_s": 60, "steal": 0.01, "command": "python -m bench --kills 8"}
 
 
 def row(measure: str, result: str, bar: str = "-", met: bool | None = None) -> dict[str, Any]:
@@ -14,7 +16,7 @@ def row(measure: str, result: str, bar: str = "-", met: bool | None = None) -> d
 
 
 def table(*rows: dict[str, Any]) -> list[str]:
-    return pages.renewed(f"{HEAD}| old |\n\nafter", list(rows)).splitlines()[4:-2]
+    return pages.renewed(f"{HEAD}| old |\n\nafter", {"machine": RAN, "rows": list(rows)}).splitlines()[8:-2]
 
 
 def test_kills_that_differ_in_the_process_are_one_row_with_each_time_and_bar() -> None:

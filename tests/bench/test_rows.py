@@ -155,17 +155,25 @@ def test_the_bench_is_there_without_its_peers() -> None:
     assert bench_main.main
 
 
-RUN: list[dict[str, Any]] = [
+TABLE_ROWS: list[dict[str, Any]] = [
     {"measure": "kill gate -> stop frame", "result": "p50 0.40 ms", "bar": "p99 < 2 ms", "met": True},
     {"measure": "one way", "result": "20 us (2 x floor)", "bar": "10 us", "met": False},
     {"measure": "floor", "result": "0.9 ms", "bar": "-", "met": None},
 ]
-PAGE = f"before\n\n{pages.HEAD}| one way | old | old | met |\n\nafter | that\n"
+RAN = {"date": "2026-01-02", "commit": "", "cores": 2, "kernel": "6.1", "python": "3.11", "realtime": True}
+RAN |= {"pty carriers": "ordinary", "took_s": 60, "steal": 0.01, "command": "python -m bench --kills 8"}
+RUN = {"machine": RAN, "rows": TABLE_ROWS}
+BEGIN, END = "<!-- run: generated -->\n", "\n<!-- end of run -->\n"
+PAGE = f"before\n\n{BEGIN}old{END}\n{pages.HEAD}| one way | old | old | met |\n\nafter | that\n"
 
 
 def test_the_page_has_every_row_in_the_run_s_order() -> None:
     assert pages.renewed(PAGE, RUN) == (
-        f"before\n\n{pages.HEAD}"
+        "before\n\n<!-- run: generated -->\n"
+        "**The run** is of 2026-01-02, at no commit: 2 cores, kernel 6.1, Python 3.11, with real-time rights, and the "
+        "pty's bytes are carried at ordinary priority. It took 60 s, and the host took away 1.0% of the processors' "
+        "time. `python -m bench --kills 8`\n"
+        f"<!-- end of run -->\n\n{pages.HEAD}"
         "| kill gate -> stop frame | p50 0.40 ms | p99 < 2 ms | met |\n"
         "| one way | 20 us (2 x floor) | 10 us | **missed** |\n"
         "| floor | 0.9 ms | - |  |\n"
@@ -175,7 +183,9 @@ def test_the_page_has_every_row_in_the_run_s_order() -> None:
 
 def test_a_page_without_a_table_is_refused() -> None:
     with pytest.raises(ValueError, match="no table of measures"):
-        pages.renewed("nothing", RUN)
+        pages.renewed(f"{BEGIN}old{END}", RUN)
+    with pytest.raises(ValueError, match="no marks of the part 'run'"):
+        pages.renewed(pages.HEAD, RUN)
 
 
 def test_the_page_has_such_a_table() -> None:

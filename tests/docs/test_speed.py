@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from bench import pages as bench_pages
 from failstop_lab.faults import report, table
-from failstop_lab.pages import speed
+from failstop_lab.faults.fault import CLIENT_FAILS, GUARD_FAILS
+from failstop_lab.pages import marked, speed
 from tests.support.pages import ROOT
 
 
@@ -26,6 +28,27 @@ def pages(tmp_path: Path) -> Path:
 def test_each_line_sums_up_rows_of_the_fault_table() -> None:
     for line in speed.LINES:
         assert set(line.rows) <= table.FAULT_BY_NAME.keys()
+
+
+def test_each_program_that_dies_or_hangs_is_in_a_line_or_named_as_left_out() -> None:
+    rows = {row.name for row in table.TABLE if row.event in (CLIENT_FAILS, GUARD_FAILS)}
+    shown = {name for line in speed.LINES for name in line.rows}
+    assert rows == (shown & rows) | speed.NOT_SHOWN.keys()
+    assert not shown & speed.NOT_SHOWN.keys()
+
+
+def test_a_kind_that_was_never_tried_or_always_missed_has_no_number(pages: Path) -> None:
+    found = report.last_campaign(pages)
+    for row in found["rows"]:
+        if row["name"] in ("scan-silent", "usb-drop", "hang-telemetry", "hang-stopper"):
+            for name in ("p50_ms", "p99_ms", "max_ms"):
+                row.pop(name, None)
+            row |= {"count": 0} if row["name"] == "scan-silent" else {"missed": row["count"]}
+    (pages / report.LAST).write_text(json.dumps(found))
+    made = " ".join(speed.text(pages).split())
+    assert "(counted from its last reading) | not tried | not tried | 0 |" in made
+    assert "telemetry or stopper hangs | missed | missed |" in made
+    assert re.search(r"the port is back: of (\d+) of these stops, \1 were missed\.", made)
 
 
 def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
@@ -57,6 +80,17 @@ def test_a_page_without_measurements_is_refused(pages: Path) -> None:
     (pages / speed.MEASURED).write_text("nothing\n")
     with pytest.raises(ValueError, match="no row of a killed process"):
         speed.text(pages)
+
+
+def test_what_readme_says_of_the_bench_is_what_the_bench_says_of_itself(pages: Path) -> None:
+    run = {"date": "2026-01-02", "commit": "", "cores": 2, "kernel": "6.1", "python": "3.11", "realtime": False}
+    run |= {"pty carriers": "ordinary", "took_s": 60, "steal": 0.01, "command": "python -m bench --kills 8"}
+    page = (pages / speed.MEASURED).read_text()
+    (pages / speed.MEASURED).write_text(marked.renewed(page, "run", bench_pages.ran(run)))
+    made = " ".join(speed.text(pages).split())
+    assert "The bench ran on 2026-01-02, without real-time rights." in made
+    assert "It gives a real-time priority to the threads" not in made
+    assert "It gives a real-time priority to the threads" in " ".join(speed.text(ROOT).split())
 
 
 def test_what_readme_says_of_memory_and_processor_was_measured() -> None:

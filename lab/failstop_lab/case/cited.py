@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 from failstop_lab.case import asserted
 from failstop_lab.faults import arm_table, report, table
@@ -76,17 +77,29 @@ def _faults(root: Path) -> Iterator[Citation]:
     yield Citation(FAULTS, f"the arm moves ({len(names)} rows)", arm_table.CLAIMS, _found(measured, names))
 
 
-def fault_rows(root: Path) -> dict[str, tuple[int, float | None, float | None]]:
-    """(count, p99 and bar in ms) of each row of docs/reference/faults.md by its name; None where there is none."""
-    found = report.last_campaign(root)["rows"]
-    return {row["name"]: (row["count"], row.get("p99_ms"), report.EVERY[row["name"]].bar_ms) for row in found}
+class FaultRow(NamedTuple):
+    """A row of docs/reference/faults.md; times in ms, None where there is none."""
+
+    injected: int
+    missed: int
+    p99_ms: float | None
+    bar_ms: float | None
 
 
-def _found(measured: dict[str, tuple[int, float | None, float | None]], names: list[str]) -> str:
+def fault_rows(root: Path) -> dict[str, FaultRow]:
+    """The rows of docs/reference/faults.md by their names."""
+    return {
+        row["name"]: FaultRow(row["count"], row["missed"], row.get("p99_ms"), report.EVERY[row["name"]].bar_ms)
+        for row in report.last_campaign(root)["rows"]
+    }
+
+
+def _found(measured: dict[str, FaultRow], names: list[str]) -> str:
     rows = [measured[name] for name in names if name in measured]
-    shares = [p99 / bar for _, p99, bar in rows if p99 is not None and bar]
+    shares = [row.p99_ms / row.bar_ms for row in rows if row.p99_ms is not None and row.bar_ms]
     latest = f", p99 at most {max(shares):.2f} of its bar" if shares else ""
-    return f"{sum(count for count, _, _ in rows)} injected{latest}"
+    missed = sum(row.missed for row in rows)
+    return f"{sum(row.injected for row in rows)} injected{f', {missed} stops missed' if missed else ''}{latest}"
 
 
 def _model(root: Path) -> Iterator[Citation]:

@@ -192,6 +192,7 @@ def _inject(
         return
     try:
         with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
+            tally.realtime = scene.realtime()
             for outcome in _outcomes(arguments, scene, rows, tally, first):
                 if interrupted:
                     # The terminal's signal went to the board and the service too: this one proves nothing.
@@ -201,11 +202,11 @@ def _inject(
                 if live:
                     sys.stderr.write(f"\r\x1b[K{tally.summary()}; {outcome.fault.name}"[:200])
                     sys.stderr.flush()
-    except (TrialError, SimBoardError) as error:
+    except (TrialError, SimBoardError, OSError) as error:
         if interrupted:
             tally.interrupted = True
         else:
-            tally.stories.append(f"the campaign could not go on: {error}")
+            tally.end(str(error))
 
 
 def _outcomes(

@@ -172,14 +172,16 @@ NOT_DRIVING = "the wheels were not turning at the fault"
 STRIKES = 3
 
 
-def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
+def strike(trial: ArmTrial, fault: ArmFault) -> tuple[Rested, list[str]]:
     """One fault, judged by the servos; the trial is settled again afterwards, with a new run where it ended. One that
-    came while nothing turned, since the machine did not run the client, is tried again, STRIKES times in all."""
-    for _ in range(STRIKES):
+    came while nothing turned, because the machine did not run the client, is tried again, STRIKES times in all, unless
+    something else was wrong too. Also returns why each of the tries before was not counted."""
+    again: list[str] = []
+    while True:
         rested = _strike(trial, fault)
-        if not {NOT_TURNING, NOT_DRIVING} & set(rested.wrong):
-            break
-    return rested
+        if not rested.wrong or set(rested.wrong) - {NOT_TURNING, NOT_DRIVING} or len(again) == STRIKES - 1:
+            return rested, again
+        again.append("; ".join(rested.wrong))
 
 
 def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:

@@ -122,6 +122,8 @@ class Fault:
     """How long the fault lasts, the clients commanding all the while."""
     fences: bool = False
     """It lasts long enough for the supervisor to kill what hangs; else the hung are continued before."""
+    at_once: bool = False
+    """Its steps are never apart, so that none of these processes can react to the death of another."""
     stop_tool: bool = False
     """Nobody who can write is left: the campaign starts the stop tool, as systemd's ExecStopPost does."""
     link: str = ""

@@ -49,6 +49,8 @@ class Outcome:
     took_s: float = 0.0
     struck: bool = True
     """The fault was made to happen, or at least begun."""
+    again: list[str] = dataclasses.field(default_factory=list)
+    """Why each scene before this one ended before its fault, so that a new one was begun."""
 
     def story(self, seed: object) -> str:
         """All that is known of one that went wrong."""
@@ -128,6 +130,11 @@ class _Injection:
         events = self.outcome.events
         self.outcome.stopped, wrong = verdict(self.fault, events, fault_ns, self.scene.was_turning)
         self.outcome.wrong += wrong
+        stop_ns = self.outcome.stopped.stop_ns
+        if self.fault.stop_tool and self.fault.at_once and stop_ns is not None:
+            early_ms = (self.scene.tool_ns - fault_ns - stop_ns) / 1e6
+            if early_ms > 0.0:
+                self.outcome.wrong.append(f"stopped {early_ms:.1f} ms before the stop tool was started")
 
     def _check(self, what: str, check: Callable[[], bool]) -> None:
         """Something that must come to be; the clients go on commanding until it does."""
@@ -211,15 +218,19 @@ def _velocity(chance: random.Random) -> tuple[float, float, float]:
 
 
 def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, seen_s: float = SEEN_S) -> Outcome:
-    """Inject one fault and judge it; what the row says must be seen within `seen_s`. A scene in which anything was
-    wrong is made again, and a robot that was stopped before the fault is driven again, SETUPS times in all."""
-    if isinstance(fault, ArmFault):
-        return _inject_arm(scene, fault, index)
-    for _ in range(SETUPS):
+    """Inject one fault and judge it; what the row says must be seen within `seen_s`. After a fault that went wrong, the
+    next one gets a new scene. A robot that was stopped before the fault is driven again, SETUPS times in all, and the
+    outcome says why."""
+    again: list[str] = []
+    while True:
+        scene.refresh()
+        if isinstance(fault, ArmFault):
+            return _inject_arm(scene, fault, index)
         outcome = _inject_one(scene, fault, index, seed, seen_s)
-        if outcome.struck or outcome.skipped:
-            break
-    return outcome
+        outcome.again = again
+        if outcome.struck or outcome.skipped or len(again) == SETUPS - 1:
+            return outcome
+        again = [*again, "; ".join(outcome.wrong)]
 
 
 def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
@@ -227,7 +238,7 @@ def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
     outcome = Outcome(fault, index)
     begun_s = time.monotonic()
     try:
-        rested = arm.strike(scene.arm, fault)
+        rested, outcome.again = arm.strike(scene.arm, fault)
     except (TrialError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
         outcome.wrong.append(f"{type(error).__name__}: {error}")
         outcome.struck = False
@@ -239,7 +250,7 @@ def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
         outcome.events = list(rested.events)
     if outcome.wrong:
         outcome.said = scene.arm.service.said()
-        scene.renew_arm()
+        scene.arm_spoiled = True
     outcome.took_s = time.monotonic() - begun_s
     return outcome
 
@@ -259,7 +270,7 @@ def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: fl
         outcome.wrong.append(f"{type(error).__name__}: {error}")
     if outcome.wrong:
         outcome.said = scene.service.said(injection.mark)
-        scene.renew()
+        scene.spoiled = True
     outcome.took_s = time.monotonic() - begun_s
     return outcome
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 from failstop.api.distance import DEATH_S, SLACK_S
@@ -35,6 +36,10 @@ STOPPER_MS = HANG_NS / 1e6 + SLACK_MS
 DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in PROCESS_BY_NAME.items()}
 TOOL_MS = 200.0
 """The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
+
+WRITERS = {SUPERVISOR, PORT_OWNER, STOPPER}
+"""Once these have died together, only the stop tool is left to write a stop."""
+SEVERAL_OF_THEM = [some for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESS_NAMES, count)]
 
 NEW_RUN_SAYS = "is ready: it has told the wheels to stop"
 SPARE_S = 0.12
@@ -110,7 +115,7 @@ def _row(
         steps=steps,
         aftermath_s=fenced_s + SPARE_S,
         fences=fenced_s > 0 and not again,
-        stop_tool={(KILL, p) for p in (SUPERVISOR, PORT_OWNER, STOPPER)} <= set(steps),
+        stop_tool={(KILL, process) for process in WRITERS} <= set(steps),
         weight=weight,
     )
 
@@ -140,17 +145,24 @@ def _continued(process: str, when: str) -> Fault:
     return _row(f"hang-{process}-continued", PROCESS_HANGS, cause, first, bar_ms, steps)
 
 
-def _kill_many(processes: tuple[str, ...]) -> Fault:
+def _kill_many(processes: tuple[str, ...], *, apart: bool = False) -> Fault:
+    """`apart`: of those after which only the stop tool is left, the row in which they die one after the other."""
     writers = tuple(process for process in (SUPERVISOR, STOPPER) if process not in processes)
     if PORT_OWNER not in processes:
         first, bar_ms = "port owner", AT_ONCE_MS
     elif writers:
         first, bar_ms = " and ".join(writers) + ", own descriptor", NO_ANSWER_MS
+    elif apart:
+        first, bar_ms = "whoever is killed last, or the stop tool", TOOL_MS
     else:
         first, bar_ms = "systemd: the stop tool (ExecStopPost)", TOOL_MS
-    cause = f"SIGKILL of {_words(processes)}, together or within 5 ms"
+    at_once = set(processes) >= WRITERS and not apart
+    when = "at once" if at_once else "one after the other, within 5 ms" if apart else "at once or within 5 ms"
+    cause = f"SIGKILL of {_words(processes)}, {when}"
     steps = tuple((KILL, process) for process in processes)
-    return _row("kill-" + "+".join(processes), SEVERAL, cause, first, bar_ms, steps)
+    name = "kill-" + "+".join(processes) + "-apart" * apart
+    row = _row(name, SEVERAL, cause, first, bar_ms, steps)
+    return dataclasses.replace(row, at_once=at_once)
 
 
 def _kill_and_hang(killed: str, hung: str) -> Fault:
@@ -159,14 +171,14 @@ def _kill_and_hang(killed: str, hung: str) -> Fault:
         first = "stopper" if SUPERVISOR in (killed, hung) else "supervisor"
     elif hung == SUPERVISOR and killed != GATE:
         first, bar_ms = "port owner (its lease on the supervisor)", LEASE_MS
-    cause = f"SIGKILL of the {killed}, SIGSTOP of the {hung}, together or within 5 ms"
+    cause = f"SIGKILL of the {killed}, SIGSTOP of the {hung}, at once or within 5 ms"
     steps = ((KILL, killed), (HANG, hung))
     return _row(f"kill-{killed}-hang-{hung}", SEVERAL, cause, first, bar_ms, steps, weight=1)
 
 
 def _hang_both(one: str, other: str) -> Fault:
     first, bar_ms = HANG_OF_BOTH[one, other]
-    cause = f"SIGSTOP of {one} and {other}, together or within 5 ms"
+    cause = f"SIGSTOP of {one} and {other}, at once or within 5 ms"
     steps = ((HANG, one), (HANG, other))
     fenced_s = max(DEADLINES_MS.get(process, bar_ms) for process in (one, other)) / 1000
     return _row(f"hang-{one}+{other}", SEVERAL, cause, first, bar_ms, steps, fenced_s=fenced_s, weight=1)
@@ -179,7 +191,8 @@ ROWS = (
     *(_hang(process, SPIN, "an endless loop in") for process in PROCESS_NAMES),
     _continued(GATE, "before it is fenced"),
     _continued(SUPERVISOR, "before systemd's watchdog"),
-    *(_kill_many(some) for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESS_NAMES, count)),
+    *(_kill_many(some) for some in SEVERAL_OF_THEM),
+    *(_kill_many(some, apart=True) for some in SEVERAL_OF_THEM if set(some) >= WRITERS),
     *(_kill_and_hang(killed, hung) for killed, hung in itertools.permutations(PROCESS_NAMES, 2)),
     *(_hang_both(*pair) for pair in HANG_OF_BOTH),
 )

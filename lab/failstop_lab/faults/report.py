@@ -1,20 +1,24 @@
-"""Report of a campaign: by row with its times, and as a page of documentation."""
+"""Report of a campaign: by row with its times, and as a page of documentation.
+
+A percentile is one of the times that were measured, by nearest rank, so of 100 tries or fewer the p99 is the slowest. A
+stop that never came counts as later than every other.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
-import statistics
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from failstop.doctor.machine import facts
 from failstop.policy.layouts import BOARDS
-from failstop.procs import rights
 from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
 from failstop_lab.boards.line import BAR_NS
 from failstop_lab.boards.traits import HAS_ARM, HAS_ARM_BESIDE, PARTS, Traits, traits_of
@@ -34,11 +38,10 @@ LEASES = (
 
 CONDITIONS = (
     "A bar is the longest p99 that a row may have, on two processor cores that nothing else uses, with real-time",
-    "rights. The six campaigns from 2026-11-23 to 2026-11-29 (20,323 faults) support every bar. They ran on a",
-    "shared virtual machine, so on a quiet machine stops come much sooner ([measured.md](measured.md)). On a busier",
-    "machine, or without the rights, a bar may be missed; *held* then says no. If a row was injected only a few",
-    "times, its p99 is the slowest of these. The test of a row allows 100 ms more than its bar, because it runs on",
-    "any machine: it finds a stop that does not come, while a campaign judges the bar.",
+    "rights. On a shared or busy machine, or without the rights, a bar may be missed; *held* then says no. If a row",
+    "was injected 100 times or less often, its p99 is the slowest of these. A missed stop counts as later than every",
+    "other. The test of a row allows 100 ms more than its bar, because it runs on any machine: it finds a stop that",
+    "does not come, while a campaign judges the bar.",
 )
 COLUMNS = ("n", "p50", "p99", "max", "bar", "held")
 """The columns with what was measured, at the end of each row of the page."""
@@ -67,6 +70,8 @@ class Row:
     motion_after: int = 0
     wrong: int = 0
     """Injections that were not as the row says, for whatever reason."""
+    again: int = 0
+    """Scenes that ended before their fault, so that a new one was begun."""
     skipped: str = ""
     times_ms: list[float] = dataclasses.field(default_factory=list)
 
@@ -77,6 +82,7 @@ class Row:
             return
         self.count += outcome.struck
         self.wrong += bool(outcome.wrong)
+        self.again += len(outcome.again)
         stopped = outcome.stopped
         if outcome.struck and outcome.fault.bar_ms is not None and (stopped is None or stopped.stop_ns is None):
             self.missed += 1
@@ -85,22 +91,22 @@ class Row:
             self.times_ms.append(stopped.stop_ns / 1e6)
 
     def percentiles(self) -> tuple[float, float, float] | None:
-        """(p50, p99, max) in ms."""
-        if not self.times_ms:
+        """(p50, p99, max) in ms; infinite where that is a missed stop. None: nothing was to stop, or nothing was
+        injected."""
+        times_ms = sorted(self.times_ms) + [math.inf] * self.missed
+        if not times_ms:
             return None
-        # Of a single value there are no quantiles.
-        times_ms = self.times_ms if len(self.times_ms) > 1 else 2 * self.times_ms
-        cuts = statistics.quantiles(times_ms, n=100, method="inclusive")
-        return cuts[49], cuts[98], max(times_ms)
+        p50, p99 = (times_ms[math.ceil(share * len(times_ms)) - 1] for share in (0.5, 0.99))
+        return p50, p99, times_ms[-1]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""
         found = self.percentiles()
         names = ("p50_ms", "p99_ms", "max_ms")
-        numbers = dict(zip(names, (round(value, 3) for value in found), strict=True)) if found else {}
+        numbers = {name: round(value, 3) for name, value in zip(names, found or (), strict=False) if value < math.inf}
         plain = {"count": self.count, "missed": self.missed, "motion_after": self.motion_after, "wrong": self.wrong}
         times = {"times_ms": [round(time_ms, 3) for time_ms in self.times_ms]}
-        return {"name": self.name, **plain, "skipped": self.skipped, **numbers, **times}
+        return {"name": self.name, **plain, "again": self.again, "skipped": self.skipped, **numbers, **times}
 
 
 class Tally:
@@ -112,11 +118,20 @@ class Tally:
         self._faults = {fault.name: fault for fault in rows}
         self.rows = {fault.name: Row(fault.name) for fault in rows}
         self.stories: list[str] = []
+        self.again: Counter[str] = Counter()
+        """How many scenes ended before their fault, by what was wrong."""
+        self.ended = ""
+        """Why the campaign could not go on."""
+        self.realtime: bool | None = None
+        """Whether the service has real-time rights, as it says itself; None: it was not asked."""
         self.interrupted = False
         self.next = 0
         """The number of the first fault that was not drawn yet."""
         self._parts: list[dict[str, Any]] = []
         self._counted = 0
+        self._loads: list[float] = []
+        # Of the beginning: somebody may commit while a campaign runs.
+        self._facts = {**facts(), "commit": commit()}
         self.begun_s = time.monotonic()
         self._begun_ticks = processor_ticks()
 
@@ -132,13 +147,16 @@ class Tally:
             known = rows[name]
             row.count, row.missed, row.motion_after = known["count"], known["missed"], known["motion_after"]
             row.wrong, row.skipped, row.times_ms = known["wrong"], known["skipped"], list(known["times_ms"])
-        self.stories = list(before["stories"])
+            row.again = known["again"]
+        self.stories, self.again = list(before["stories"]), Counter(before["again"])
         self.next, self._parts = before["next"], list(before["machine"]["parts"])
         self._counted = self.count
 
     def add(self, outcome: Outcome) -> None:
         """Count one."""
         self.rows[outcome.fault.name].add(outcome)
+        self.again.update(outcome.again)
+        self._loads.append(os.getloadavg()[0])
         if not outcome.skipped:
             self.next = max(self.next, outcome.index + 1)
         if outcome.wrong:
@@ -153,12 +171,19 @@ class Tally:
         """The sum of a count over all rows."""
         return sum(getattr(row, field) for row in self.rows.values())
 
+    def end(self, why: str) -> None:
+        """The campaign can't go on."""
+        self.ended = why
+        self.stories.append(f"the campaign could not go on: {why}")
+
     def summary(self) -> str:
         """One line."""
+        ended = f"; it could not go on: {self.ended}" if self.ended else ""
+        begun = f"; {_begun_again(self.again)}" if self.again else ""
         return (
             f"{self.count} faults in {time.monotonic() - self.begun_s:.0f} s: {self.total('missed')} stops missed, "
             f"{self.total('motion_after')} motion frames after a stop, {self.total('wrong')} not as the table says; "
-            f"{kept(self._faults, {name: row.as_dict() for name, row in self.rows.items()})}"
+            f"{kept(self._faults, {name: row.as_dict() for name, row in self.rows.items()})}{begun}{ended}"
         )
 
     def table(self) -> str:
@@ -187,16 +212,17 @@ class Tally:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `--json`."""
-        found = facts()
-        part = {"date": found["date"], "commit": commit(), "count": self.count - self._counted}
-        part |= {"took_s": round(time.monotonic() - self.begun_s), **measures(self._begun_ticks)}
+        loads = self._loads or [os.getloadavg()[0]]
+        part = {**self._facts, "count": self.count - self._counted, "realtime": self.realtime}
+        part |= {"took_s": round(time.monotonic() - self.begun_s), "load": round(sum(loads) / len(loads), 1)}
+        part["steal"] = stolen_share(self._begun_ticks)
         parts = [*self._parts, part]
         took_s = sum(one["took_s"] for one in parts)
-        machine = {**found, "took_s": took_s, "conditions": conditions(parts), "parts": parts}
+        machine = {**_common(parts), "took_s": took_s, "conditions": conditions(parts), "parts": parts}
         totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
         rows = [row.as_dict() for row in self.rows.values()]
         told = {"machine": machine, "board": self.board, "seed": self.seed, "next": self.next}
-        return {**told, **totals, "rows": rows, "stories": self.stories}
+        return {**told, **totals, "again": dict(self.again), "rows": rows, "stories": self.stories}
 
 
 def last_campaign(root: Path) -> dict[str, Any]:
@@ -222,18 +248,23 @@ def stolen_share(begun: tuple[int, int]) -> float:
     return (stolen - stolen_before) / max(1, now - all_before)
 
 
-def measures(begun: tuple[int, int]) -> dict[str, Any]:
-    """What decides how late a stop is, of the machine since then. `begun`: processor_ticks() at that time."""
-    with rights.realtime(1) as granted:
-        return {"realtime": granted, "load": round(os.getloadavg()[0], 1), "steal": stolen_share(begun)}
+def _common(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The facts() of all parts of a campaign, each "A and B" where they differ."""
+    return {
+        name: values[0] if len(values) == 1 else " and ".join(map(str, values))
+        for name in facts()
+        for values in [list(dict.fromkeys(part[name] for part in parts))]
+    }
 
 
 def conditions(parts: Sequence[Mapping[str, Any]]) -> str:
-    """The measures() of all parts of a campaign in words."""
-    granted = sum(part["realtime"] for part in parts)
+    """What decides how late a stop is, of all parts of a campaign, in words: rights, mean load, steal."""
+    granted = sum(bool(part["realtime"]) for part in parts)
     found = "with real-time rights" if granted else "without real-time rights"
     if 0 < granted < len(parts):
         found = f"with real-time rights in {granted} of {len(parts)} parts"
+    elif any(part["realtime"] is None for part in parts):
+        found = "with rights that are not known"
     load = _span([f"{part['load']:.1f}" for part in sorted(parts, key=lambda part: float(part["load"]))])
     steal = _span([f"{part['steal']:.1%}" for part in sorted(parts, key=lambda part: float(part["steal"]))])
     return f"{found}, at a load of {load} and a steal of {steal} (processor time that the host took away)"
@@ -260,8 +291,10 @@ def commit() -> str:
 
 
 def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
-    """Whether the p99 of a row kept its bar; None: it has no bar, or nothing was measured."""
+    """Whether the p99 of a row kept its bar, and no stop was missed; None: it has no bar, or nothing was injected."""
     p99_ms = row.get("p99_ms")
+    if fault.bar_ms is not None and row.get("missed"):
+        return False
     return None if fault.bar_ms is None or p99_ms is None else bool(p99_ms <= fault.bar_ms)
 
 
@@ -282,7 +315,8 @@ def _bar(fault: Fault | ArmFault) -> str:
 
 def _times(row: dict[str, Any]) -> tuple[str, str, str]:
     found = [row.get(name) for name in ("p50_ms", "p99_ms", "max_ms")]
-    a, b, c = ("-" if value is None else f"{value:.2f}" for value in found)
+    none = "missed" if row.get("missed") else "-"
+    a, b, c = (none if value is None else f"{value:.2f}" for value in found)
     return a, b, c
 
 
@@ -311,6 +345,7 @@ def markdown(result: dict[str, Any]) -> str:
         *_parts(machine.get("parts", ())),
         "",
         f"**{within[0].upper()}{within[1:]}.** {_conditions(machine)}",
+        *_wrong(result),
         "",
         *CONDITIONS,
         "",
@@ -319,7 +354,8 @@ def markdown(result: dict[str, Any]) -> str:
         "the journal; *said* is what else is reported. If nothing is latched after a new start, motion is disabled.",
         "Clearing moves no wheel, except if it happens *by itself*. A fault that is *not here* could not be caused on",
         "that machine: `make vm` puts a machine to sleep and steps its clock",
-        "([how](../how-it-is-tested.md#usb-sleep-and-boot)).",
+        "([how](../how-it-is-tested.md#usb-sleep-and-boot)). Where several processes are hit within 5 ms, the last of",
+        "them may stop the wheels before the process that *first to stop* names.",
         "",
         *LEASES,
     ]
@@ -349,11 +385,31 @@ def markdown(result: dict[str, Any]) -> str:
 
 
 def _parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
-    """When each part of a campaign was run, at which commit."""
+    """When each part of a campaign was run, at which commit, and on what if they ran on different machines."""
     if not parts:
         return []
-    each = (f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults" for part in parts)
+    said = {f"{part['cores']} cores, kernel {part['kernel']}, Python {part['python']}" for part in parts}
+    each = (
+        f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults"
+        + (f" ({part['cores']} cores, kernel {part['kernel']}, Python {part['python']})" if len(said) > 1 else "")
+        for part in parts
+    )
     return [f"Run on {'; '.join(each)}."]
+
+
+def _wrong(result: Mapping[str, Any]) -> list[str]:
+    """What went wrong in a campaign: the first line of each story, and the scenes that were begun again."""
+    stories = [story.partition("\n")[0] for story in result["stories"]]
+    lines = ["", "What was not as the table says:", "", *(f"- {line}" for line in stories)] if stories else []
+    if again := result.get("again"):
+        lines += ["", f"{_begun_again(again)}."]
+    return lines
+
+
+def _begun_again(again: Mapping[str, int]) -> str:
+    """The scenes that ended before their fault, in words."""
+    each = "; ".join(f"{count} times: {why}" for why, count in sorted(again.items()))
+    return f"scenes that ended before their fault, so that a new one was begun: {sum(again.values())} ({each})"
 
 
 def other_boards() -> list[str]:

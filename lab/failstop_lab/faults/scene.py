@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import tempfile
+import time
 
 from failstop import helpers
 from failstop.api.errors import FailstopError
@@ -53,7 +54,11 @@ class Scene(Stand):
         checked(theirs, config)  # values that a campaign overrides are refused too
         write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
         self._tool: subprocess.Popen[bytes] | None = None
+        self.tool_ns = 0
+        """When the stop tool was started last (CLOCK_MONOTONIC)."""
         self._arm: ArmTrial | None = None
+        self.spoiled = self.arm_spoiled = False
+        """A fault went wrong here, so the next one gets a new board and a new service, from refresh()."""
         self._start_new(name)
 
     def _start_new(self, name: str) -> None:
@@ -69,8 +74,7 @@ class Scene(Stand):
             self._arm.__enter__()
         return self._arm
 
-    def renew_arm(self) -> None:
-        """The next one is new."""
+    def _end_arm(self) -> None:
         if self._arm:
             self._arm.close()
             self._arm = None
@@ -85,7 +89,7 @@ class Scene(Stand):
 
     def close(self) -> None:
         """End everything, whatever state it is in."""
-        self.renew_arm()
+        self._end_arm()
         self._end_tool()
         process = self.service.process
         self.service.signal_known(signal.SIGCONT)
@@ -103,11 +107,21 @@ class Scene(Stand):
         finally:
             self.driver.leave()
 
-    def renew(self) -> None:
-        """A new board and a new service, after a fault that this one did not get over."""
-        self.close()
-        self._start_new(self.name)
-        self.trial.__enter__()
+    def refresh(self) -> None:
+        """A new board and a new service, if the fault before went wrong. Raises TrialError, and others, if the old ones
+        don't end or the new ones don't start."""
+        if self.arm_spoiled:
+            self._end_arm()
+            self.arm_spoiled = False
+        if self.spoiled:
+            self.close()
+            self._start_new(self.name)
+            self.trial.__enter__()
+            self.spoiled = False
+
+    def realtime(self) -> bool:
+        """Whether every process of the service has a real-time priority, as each says itself."""
+        return all(process.realtime for process in self.driver.robot.state.processes.values())
 
     @property
     def whole_s(self) -> float:
@@ -123,6 +137,7 @@ class Scene(Stand):
         command = helpers.python(
             "failstop", "stop", "--config", self._config, "--device", self.trial.link, "--wait", "5"
         )
+        self.tool_ns = time.monotonic_ns()
         self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
     def wait_for_stop_tool(self) -> None:

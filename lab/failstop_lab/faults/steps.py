@@ -1,4 +1,8 @@
-"""Steps: what a row of the fault table does to processes - killed, stopped, continued, put into an endless loop."""
+"""Steps: what a row of the fault table does to processes - killed, stopped, continued, put into an endless loop.
+
+Processes that die together stand still first. Otherwise one that is killed a few microseconds after another still stops
+the wheels before it dies.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,8 @@ STOPPED_ON_S = (0.04, 0.14)
 
 
 class Steps:
-    """The steps of one injection: together or within 5 ms, in any order; what is continued was stopped for longer."""
+    """The steps of one injection: at once, or if the row allows it within 5 ms, in any order; what is continued was
+    stopped for longer."""
 
     def __init__(self, fault: Fault, chance: random.Random, kill: Callable[[int, int], None] = os.kill) -> None:
         """`kill`: what sends a signal."""
@@ -35,6 +40,11 @@ class Steps:
     def perform(self, pids: dict[str, int], wait: Callable[[float], object]) -> int:
         """Take them; `wait` lets the clients go on for so many seconds. Returns when it began (CLOCK_MONOTONIC ns)."""
         spread_s = self._chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
+        if self._fault.at_once:
+            spread_s = 0.0
+        if not spread_s and len(self._order) > 1:
+            for process in self._fault.struck(KILL):
+                self._do(HANG, pids[process])
         begun_ns = time.monotonic_ns()
         for number, (action, process) in enumerate(self._order):
             if action == CONTINUE and self._order[number - 1][0] != CONTINUE:

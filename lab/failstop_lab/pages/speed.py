@@ -22,7 +22,24 @@ class Line(NamedTuple):
     rows: tuple[str, ...]
 
 
-DRIVER_ROWS = ("client-killed", "client-killed-large", "client-hung-up", "client-fails")
+DRIVER_ROWS = (
+    *("client-killed", "client-killed-large", "client-hung-up", "client-fails"),
+    *("c-client-killed", "c-client-killed-large", "c-client-crashes", "c-client-execs", "c-client-killed-forked"),
+    *("manager-killed", "manager-crashes", "guard-driver-killed", "guard-driver-closes"),
+)
+HUNG_ROWS = ("client-hung", "c-client-hung")
+NOT_SHOWN = {
+    "pad-silent": "not a program",
+    "client-nan": "a program that commands nonsense",
+    "client-second": "a program too many",
+    "client-gamepad": "no stop",
+    "manager-interrupted": "ends by itself",
+    "manager-hung": "as client-hung, counted from the fault",
+    "guard-driver-hung": "as client-hung, counted from the fault",
+    "guard-hung": "not the user's program",
+    "guard-killed": "not the user's program",
+}
+"""The rows of programs that drive which no line sums up, and why."""
 DEATH_ROWS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in layout.PROCESS_NAMES)
 DRIVING_HANGS, WATCHING_HANGS = (
     tuple(f"hang-{name}" for name in names)
@@ -30,7 +47,7 @@ DRIVING_HANGS, WATCHING_HANGS = (
 )
 LINES = (
     Line("your program crashes or is killed", DRIVER_ROWS),
-    Line("your program hangs (counted from its last command)", ("client-hung",)),
+    Line("your program hangs (counted from its last command)", HUNG_ROWS),
     Line("one of failstop's own processes crashes", DEATH_ROWS),
     Line("failstop's gate, port owner or supervisor hangs", DRIVING_HANGS),
     Line("failstop's telemetry or stopper hangs", WATCHING_HANGS),
@@ -40,8 +57,17 @@ LINES = (
     ),
     Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
 )
-KILL_ROW = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms  \((\S+) and ", re.MULTILINE)
+KILL_ROW = re.compile(
+    r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms(?: of \d+)?  \((\S+) and ", re.MULTILINE
+)
 """A row of the page on measurements; the last group is the p50 as a multiple of the C program's."""
+
+
+RUN = re.compile(
+    r"\*\*The run\*\* is of (?P<date>\S+), at .*, (?P<rights>with|without) real-time rights, and the pty's bytes are "
+    r"carried at (?P<carried>\S+) priority"
+)
+"""How the bench ran, as bench/pages.py says it on that page."""
 
 
 def text(root: Path) -> str:
@@ -49,13 +75,27 @@ def text(root: Path) -> str:
     found = report.last_campaign(root)
     rows = {row["name"]: row for row in found["rows"]}
     head = "| What happens | half of the stops within (p50) | 99 of 100 within (p99) | times tried |"
-    table = [head, "|---|---|---|---|", *(_line(line, [rows[name] for name in line.rows]) for line in LINES)]
+    table = [head, "|---|---|---|---|", *(_line(line, [rows.get(name, NEVER) for name in line.rows]) for line in LINES)]
     return "\n".join((*table, "", _campaign(found, rows), "", _bench((root / MEASURED).read_text("utf-8"))))
 
 
+NEVER: dict[str, Any] = {"count": 0, "missed": 0}
+"""A row that a campaign did not have."""
+
+
 def _line(line: Line, rows: list[dict[str, Any]]) -> str:
-    p50, p99 = (_ms(max(row[name] for row in rows)) for name in ("p50_ms", "p99_ms"))
+    p50, p99 = (_slowest(rows, name) for name in ("p50_ms", "p99_ms"))
     return f"| {line.fails} | {p50} | {p99} | {sum(row['count'] for row in rows)} |"
+
+
+def _slowest(rows: list[dict[str, Any]], name: str) -> str:
+    """A percentile of the slowest kind of fault that was injected."""
+    injected = [row for row in rows if row["count"]]
+    if not injected:
+        return "not tried"
+    if any(row["missed"] and name not in row for row in injected):
+        return "missed"
+    return _ms(max(row[name] for row in injected))
 
 
 def _ms(value: float) -> str:
@@ -71,13 +111,12 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     return _paragraphs(f"""
         Times are counted from the fault, unless the row says otherwise, until the stop has arrived at the board. A real
         serial line adds the time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. If a row covers
-        several kinds of fault, it shows the times of the slowest kind, and the tries of all kinds together. After only
-        a few tries, the p99 is simply the slowest try. [How it works](#how-it-works) says what each of failstop's
-        processes does.
+        several kinds of fault, it shows the times of the slowest kind, and the tries of all kinds together. If a kind
+        was tried 100 times or less often, its p99 is the slowest try. [How it works](#how-it-works) says what each of
+        failstop's processes does.
 
         While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug the cable in
-        again, failstop sends a stop as soon as the port is back: 99 of 100 of these stops arrive within
-        {_ms(rows["usb-drop"]["p99_ms"])}.
+        again, failstop sends a stop as soon as the port is back{_unplugged(rows.get("usb-drop", NEVER))}.
 
         All this was measured on {machine["date"]} with a simulated board, on a shared virtual machine with
         {machine["cores"]} cores. {ran} {found["count"]:,} faults of {kinds} kinds were injected at random
@@ -86,17 +125,35 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
         """)
 
 
+def _unplugged(row: dict[str, Any]) -> str:
+    """How soon the stop comes once the cable is in again, as a clause."""
+    if row["missed"] or not row["count"]:
+        return f": of {row['count']} of these stops, {row['missed']} were missed"
+    if row["count"] <= 100:
+        return f": the slowest of {row['count']} of these stops took {_ms(row['p99_ms'])}"
+    return f": 99 of 100 of these stops arrive within {_ms(row['p99_ms'])}"
+
+
 def _bench(page: str) -> str:
     killed = [[float(number) for number in row] for row in KILL_ROW.findall(page)]
     if not killed:
         raise ValueError(f"{MEASURED} has no row of a killed process")
     p50s, p99s, ratios = zip(*killed, strict=True)
+    ran = RUN.search(page)
+    if not ran:
+        raise ValueError(f"{MEASURED} does not say how the bench ran")
+    carried = ran["carried"] == "real-time"
+    why = (
+        f"""It gives a real-time priority to the threads of the kernel that carry bytes to the simulated board, which
+        makes its times shorter than those in the table. A real USB port needs no such threads
+        ([more]({MEASURED}#where-a-stops-time-goes))."""
+        if carried
+        else ""
+    )
     return _paragraphs(f"""
-        `make bench` finds shorter times: when one of failstop's processes is killed there, half of the stops come
-        within {max(p50s):.1f} ms and 99 of 100 within {max(p99s):.1f} ms. The bench also runs with real-time
-        rights. Its times are shorter than those in the table because it gives a high priority to the threads of the
-        kernel that carry bytes to the simulated board. A real USB port needs no such threads
-        ([more]({MEASURED}#where-a-stops-time-goes)).
+        When one of failstop's processes is killed in `make bench`, half of the stops come within {max(p50s):.1f} ms
+        and 99 of 100 within {max(p99s):.1f} ms. The bench ran on {ran["date"]}, {ran["rights"]} real-time rights.
+        {why}
 
         `make bench` also measures a small C program, which waits until a process is killed and then writes a stop.
         failstop's p50 is {min(ratios):.1f} to {max(ratios):.1f} times the p50 of that program. [Every

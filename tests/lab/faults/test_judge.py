@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 import re
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,12 +15,14 @@ import pytest
 
 from failstop.api import distance
 from failstop.policy.causes import KEY
-from failstop_lab.faults import report
+from failstop_lab.faults import injection, report
+from failstop_lab.faults.fault import KILL, Fault
 from failstop_lab.faults.injection import Outcome, _Injection, draw, inject_one
 from failstop_lab.faults.judge import verdict
 from failstop_lab.faults.scene import Scene
+from failstop_lab.faults.steps import Steps
 from failstop_lab.faults.table import FAULT_BY_NAME, TABLE
-from failstop_lab.trial import judge
+from failstop_lab.trial import TrialError, judge
 from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
 KILL_GATE = FAULT_BY_NAME["kill-gate"]
@@ -81,13 +85,84 @@ def test_what_is_counted() -> None:
     tally.add(Outcome(KILL_GATE, 0, wrong=["no service to kill"], struck=False))
     result = tally.as_dict()
     assert (result["count"], result["missed"], result["motion_after"], result["wrong"]) == (3, 1, 1, 3)
-    assert result["rows"][0]["max_ms"] == 4.0
+    assert result["rows"][0]["p50_ms"] == 4.0
+    assert "max_ms" not in result["rows"][0]
     assert result["rows"][1]["skipped"] == "no sleep"
     assert len(result["stories"]) == 3
     assert "seed 7" in tally.stories[0]
     assert "MOTION" in tally.stories[0]
     assert "not here: no sleep" in tally.table()
-    assert "1 stops missed" in report.markdown(result)
+    page = report.markdown(result)
+    assert "1 stops missed" in page
+    assert f"- {tally.stories[0].partition(chr(10))[0]}" in page.splitlines()
+
+
+def with_stops(*times_ms: float, missed: int = 0) -> report.Row:
+    """A row of kills with these stops."""
+    return report.Row("kill-gate", len(times_ms) + missed, missed, times_ms=list(times_ms))
+
+
+def test_a_percentile_is_a_time_that_was_measured_and_of_few_the_slowest() -> None:
+    assert with_stops(1.0, 20.0).percentiles() == (1.0, 20.0, 20.0)
+    assert with_stops(*map(float, range(100, 0, -1))).percentiles() == (50.0, 99.0, 100.0)
+    assert with_stops(*map(float, range(1, 300))).percentiles() == (150.0, 297.0, 299.0)
+    assert with_stops().percentiles() is None
+
+
+def test_a_missed_stop_is_later_than_every_other_and_keeps_no_bar() -> None:
+    """Of 100, 98 in time and a bar would be held; of these, one never came, which is the 99th."""
+    for row, wanted in ((with_stops(*98 * [1.0], missed=2), {"p50_ms": 1.0}), (with_stops(missed=3), {})):
+        found = row.as_dict()
+        assert {name: found[name] for name in ("p50_ms", "p99_ms", "max_ms") if name in found} == wanted
+        assert report.bar_held(KILL_GATE, found) is False
+        tally = report.Tally((KILL_GATE,), seed=7)
+        tally.rows["kill-gate"] = row
+        assert "but not for kill-gate" in tally.summary()
+        (line,) = (line for line in report.markdown(tally.as_dict()).splitlines() if line.startswith("| `kill-gate` "))
+        assert "| missed | missed |" in line
+        assert line.endswith("| **no** |")
+    rare = with_stops(*200 * [1.0], missed=1).as_dict()
+    assert rare["p99_ms"] == 1.0
+    assert report.bar_held(KILL_GATE, rare) is False
+
+
+def test_scenes_that_ended_before_their_fault_are_counted_with_their_reasons() -> None:
+    tally = report.Tally((KILL_GATE,), seed=7)
+    stopped, _ = verdict(KILL_GATE, [event(0, 1.0, STILL)], FAULT_NS, True)
+    for again in (["it stopped by itself", "not ready"], [], ["it stopped by itself"]):
+        tally.add(Outcome(KILL_GATE, 0, stopped, again=again))
+    result = tally.as_dict()
+    assert result["again"] == {"it stopped by itself": 2, "not ready": 1}
+    assert result["rows"][0]["again"] == 3
+    told = "a new one was begun: 3 (2 times: it stopped by itself; 1 times: not ready)"
+    assert told in tally.summary()
+    assert told in report.markdown(result)
+
+
+def test_each_part_of_a_campaign_says_where_and_with_what_rights_it_ran(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine and the commit are those of its beginning, and a mixture is named."""
+    results: list[dict[str, Any]] = []
+    for day, kernel, realtime in (("2026-01-02", "6.1", True), ("2026-01-03", "6.2", False)):
+        begun = {"version": "1", "date": day, "python": "3.11", "kernel": kernel, "machine": "x86_64", "cores": 2}
+        monkeypatch.setattr(report, "facts", lambda begun=begun: begun)
+        monkeypatch.setattr(report, "commit", lambda kernel=kernel: f"commit{kernel}")
+        tally = report.Tally((KILL_GATE,), seed=7)
+        monkeypatch.setattr(report, "commit", lambda: "a later one")
+        tally.realtime = realtime
+        if results:
+            tally.resume(results[-1])
+        tally.add(Outcome(KILL_GATE, len(results), verdict(KILL_GATE, [event(0, 1.0, STILL)], FAULT_NS, True)[0]))
+        results.append(tally.as_dict())
+    assert [part["commit"] for part in results[-1]["machine"]["parts"]] == ["commit6.1", "commit6.2"]
+    assert results[-1]["machine"]["kernel"] == "6.1 and 6.2"
+    assert results[0]["machine"]["kernel"] == "6.1"
+    page = report.markdown(results[-1])
+    assert "with real-time rights in 1 of 2 parts" in page
+    assert (
+        "Run on 2026-01-02 at commit6.1: 1 faults (2 cores, kernel 6.1, Python 3.11); "
+        "2026-01-03 at commit6.2: 1 faults (2 cores, kernel 6.2, Python 3.11)." in page
+    )
+    assert "Run on 2026-01-02 at commit6.1: 1 faults." in report.markdown(results[0])
 
 
 def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
@@ -130,6 +205,82 @@ def test_the_stopping_distance_reckons_with_what_was_measured() -> None:
     for name, deadline_ms in (("hang-gate+stopper", 60), ("spin-port_owner", 100), ("hang-telemetry", 500)):
         (late_ms,) = (row["p99_ms"] - deadline_ms for row in found if row["name"] == name)
         assert late_ms <= 1000 * distance.SLACK_S
+
+
+def sent_to(fault: Fault, seed: int) -> list[tuple[int, int]]:
+    """The (pid, signal) of a row's steps, as this seed orders them; the pids are 100, 101 and so on."""
+    sent: list[tuple[int, int]] = []
+    pids = {process: 100 + number for number, process in enumerate(fault.struck(KILL))}
+    Steps(fault, random.Random(seed), lambda *each: sent.append(each)).perform(pids, lambda _: None)
+    return sent
+
+
+@pytest.mark.parametrize(
+    ("name", "always"), [("kill-supervisor+port_owner+stopper", True), ("kill-gate+telemetry", False)]
+)
+def test_what_dies_at_once_stands_still_first(name: str, always: bool) -> None:
+    """Otherwise one that is killed a little later writes the stop that only the stop tool can be left to write."""
+    fault = FAULT_BY_NAME[name]
+    count = len(fault.steps)
+    first = []
+    for seed in range(20):
+        sent = sent_to(fault, seed)
+        assert {pid for pid, sign in sent if sign == signal.SIGKILL} == set(range(100, 100 + count))
+        first.append({sign for _, sign in sent[:count]})
+        assert len(sent) == (2 * count if first[-1] == {signal.SIGSTOP} else count)
+    frozen = first.count({signal.SIGSTOP})
+    assert frozen == 20 if always else 0 < frozen < 20
+
+
+def test_what_dies_one_after_the_other_has_rows_of_its_own() -> None:
+    apart = FAULT_BY_NAME["kill-supervisor+port_owner+stopper-apart"]
+    assert apart.stop_tool
+    assert not apart.at_once
+
+
+def test_a_stop_before_the_stop_tool_was_started_is_not_the_stop_tool_s() -> None:
+    made = alone(tool_ns=FAULT_NS + 2 * MS, was_turning=True, board=SimpleNamespace(events=list))
+    made.fault = FAULT_BY_NAME["kill-supervisor+port_owner+stopper"]
+    for stop_ms, wrong in ((1.0, ["stopped 1.0 ms before the stop tool was started"]), (3.0, [])):
+        made.outcome = Outcome(made.fault, 0, events=[event(0, stop_ms, STILL)])
+        made._judge(FAULT_NS)
+        assert made.outcome.wrong == wrong
+
+
+class Broken:
+    """A scene that can't be made anew."""
+
+    arm_spoiled = spoiled = False
+
+    def refresh(self) -> None:
+        if self.spoiled:
+            raise TrialError("it is not ready")
+
+
+def test_a_fault_that_went_wrong_counts_although_its_scene_can_not_be_made_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def wrong(scene: Broken, fault: Fault, index: int, *_: object) -> Outcome:
+        scene.spoiled = True
+        return Outcome(fault, index, judge([], FAULT_NS, True), wrong=["NO STOP"])
+
+    monkeypatch.setattr(injection, "_inject_one", wrong)
+    tally = report.Tally((KILL_GATE,), seed=7)
+    outcomes = injection.campaign(Broken(), (KILL_GATE,), 7, lambda _: False)  # type: ignore[arg-type]
+    tally.add(next(outcomes))
+    with pytest.raises(TrialError):
+        next(outcomes)
+    assert (tally.count, tally.total("missed"), tally.total("wrong")) == (1, 1, 1)
+    tally.end("it is not ready")
+    assert tally.summary().endswith("; it could not go on: it is not ready")
+    assert "- the campaign could not go on: it is not ready" in report.markdown(tally.as_dict())
+
+
+def test_why_a_scene_was_begun_again_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = [Outcome(KILL_GATE, 0, wrong=[why], struck=False) for why in ("not ready", "stopped by itself")]
+    outcomes.append(Outcome(KILL_GATE, 0))
+    monkeypatch.setattr(injection, "_inject_one", lambda *_: outcomes.pop(0))
+    assert inject_one(Broken(), KILL_GATE).again == ["not ready", "stopped by itself"]  # type: ignore[arg-type]
 
 
 def test_a_seed_is_a_campaign() -> None:
