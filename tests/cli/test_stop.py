@@ -1,14 +1,25 @@
-"""`failstop stop --services`: the exit code says whether every robot was stopped beyond doubt."""
+"""`failstop stop`: its priority; and of `--services`, that the exit code says whether every robot was stopped beyond
+doubt."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from argparse import Namespace
+from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
 from failstop import instances
 from failstop.api import ask
+from failstop.cli import main as cli
 from failstop.cli.commands import stop
+from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.procs import rights
+from failstop_lab.trial import wait_for
+from tests.support.commands import FAILSTOP
 
 STOPPED = ("'a': the stop is acknowledged", "", False)
 DOUBTED = ("'b': the stop is written", "the board does not answer: use the POWER SWITCH", True)
@@ -54,3 +65,38 @@ def test_the_stop_of_another_service_at_a_port_that_is_a_guess_is_no_success(
     said = capsys.readouterr()
     assert STOPPED[0] in said.out
     assert (ELSEWHERE if last else "the stop went to /dev/ttyACM0, the default") in said.err
+
+
+FORKS = os.SCHED_RESET_ON_FORK
+
+
+def may_be_realtime() -> bool:
+    """Whether this user's programs may ask for a real-time priority."""
+    with rights.realtime(1) as granted:
+        return granted
+
+
+@pytest.mark.skipif(not may_be_realtime(), reason="without the right to a real-time priority")
+def test_a_stop_comes_before_ordinary_programs(tmp_path: Path) -> None:
+    """It asks for that before it imports the command, because on a busy computer the imports take longest. What it
+    starts has none, and neither has a command that is not a stop."""
+    command = [*FAILSTOP, "stop", "--device", str(tmp_path / "gone"), "--wait", "20"]
+    with subprocess.Popen(command, stdout=PIPE, stderr=PIPE) as tool:
+        try:
+            wait_for("its priority", lambda: os.sched_getscheduler(tool.pid) & ~FORKS == os.SCHED_FIFO)
+            assert os.sched_getscheduler(tool.pid) & FORKS
+            assert os.sched_getparam(tool.pid).sched_priority < min(row.priority for row in PROCESS_BY_NAME.values())
+        finally:
+            tool.kill()
+    before = os.sched_getscheduler(0)
+    assert cli.main(["stop", "--device", str(tmp_path / "gone"), "--wait", "0"]) == 1
+    assert os.sched_getscheduler(0) == before, "a program that calls this keeps its own priority"
+
+
+def test_a_stop_does_without_the_right_to_a_priority(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    monkeypatch.setattr(sys, "argv", ["failstop", "stop", "--device", str(tmp_path / "gone"), "--wait", "0"])
+    assert cli.main() == 1

@@ -17,6 +17,7 @@ from failstop_lab.faults.fault import BY_ITSELF, BY_RESET, CRASH, HANG, KILL, SP
 from failstop_lab.faults.injectors import injector
 from failstop_lab.faults.judge import verdict
 from failstop_lab.faults.scene import Scene
+from failstop_lab.faults.steps import NotAtOnce
 from failstop_lab.sim.client import Event, SimBoardError
 from failstop_lab.trial import Stopped, TrialError
 
@@ -266,6 +267,9 @@ def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: fl
     injection = _Injection(scene, fault, outcome, seen_s)
     try:
         injection.run()
+    except NotAtOnce as error:
+        outcome.wrong.append(str(error))
+        outcome.struck = False
     except (TrialError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
         outcome.wrong.append(f"{type(error).__name__}: {error}")
     if outcome.wrong:

@@ -16,12 +16,18 @@ from collections.abc import Callable
 
 from failstop_lab.faults import ptrace
 from failstop_lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
-from failstop_lab.trial import is_ours
+from failstop_lab.trial import TrialError, is_ours
 
 SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
 APART_S = 0.005
+AT_ONCE_S = 0.02
+"""Within so long all must stand still; the shortest deadline of a process that hangs is 60 ms."""
 STOPPED_ON_S = (0.04, 0.14)
 """How long the hung stay stopped after the stop is due: less than it takes to fence them."""
+
+
+class NotAtOnce(TrialError):
+    """So much time went by between steps that must be at once that it would be another fault."""
 
 
 class Steps:
@@ -38,13 +44,13 @@ class Steps:
         self._order.sort(key=lambda step: step[0] == CONTINUE)
 
     def perform(self, pids: dict[str, int], wait: Callable[[float], object]) -> int:
-        """Take them; `wait` lets the clients go on for so many seconds. Returns when it began (CLOCK_MONOTONIC ns)."""
+        """Take them; `wait` lets the clients go on for so many seconds. Returns when it began (CLOCK_MONOTONIC ns).
+        Raises NotAtOnce."""
         spread_s = self._chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
         if self._fault.at_once:
             spread_s = 0.0
         if not spread_s and len(self._order) > 1:
-            for process in self._fault.struck(KILL):
-                self._do(HANG, pids[process])
+            self._stand_still([pids[process] for process in self._fault.struck(KILL)])
         begun_ns = time.monotonic_ns()
         for number, (action, process) in enumerate(self._order):
             if action == CONTINUE and self._order[number - 1][0] != CONTINUE:
@@ -53,6 +59,15 @@ class Steps:
                 time.sleep(self._chance.uniform(0.0, spread_s))
             self._do(action, pids[process])
         return begun_ns
+
+    def _stand_still(self, pids: list[int]) -> None:
+        begun_s = time.monotonic()
+        for pid in pids:
+            self._do(HANG, pid)
+        if (took_s := time.monotonic() - begun_s) > AT_ONCE_S:
+            for pid in pids:
+                self._do(CONTINUE, pid)
+            raise NotAtOnce(f"the machine needed {1000 * took_s:.0f} ms to stop {len(pids)} processes at once")
 
     def undo(self, pids: dict[str, int]) -> None:
         """Continue what is still stopped."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import random
 import re
 import signal
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +17,7 @@ import pytest
 
 from failstop.api import distance
 from failstop.policy.causes import KEY
-from failstop_lab.faults import injection, report
+from failstop_lab.faults import injection, report, steps
 from failstop_lab.faults.fault import KILL, Fault
 from failstop_lab.faults.injection import Outcome, _Injection, draw, inject_one
 from failstop_lab.faults.judge import verdict
@@ -230,6 +232,17 @@ def test_what_dies_at_once_stands_still_first(name: str, always: bool) -> None:
         assert len(sent) == (2 * count if first[-1] == {signal.SIGSTOP} else count)
     frozen = first.count({signal.SIGSTOP})
     assert frozen == 20 if always else 0 < frozen < 20
+
+
+def test_processes_that_can_not_be_stopped_at_once_are_not_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = itertools.count(10.0, 0.03)
+    monkeypatch.setattr(time, "monotonic", lambda: next(times))
+    sent: list[int] = []
+    fault = FAULT_BY_NAME["kill-supervisor+port_owner+stopper"]
+    pids = {process: 100 + number for number, process in enumerate(fault.struck(KILL))}
+    with pytest.raises(steps.NotAtOnce, match="the machine needed 30 ms to stop 3 processes at once"):
+        Steps(fault, random.Random(1), lambda _, sign: sent.append(sign)).perform(pids, lambda _: None)
+    assert sent == 3 * [signal.SIGSTOP] + 3 * [signal.SIGCONT]
 
 
 def test_what_dies_one_after_the_other_has_rows_of_its_own() -> None:
