@@ -397,7 +397,8 @@ class JointState:
     commanded_rad: float | None
     """The commanded angle of the joint, rad. None while the position of the joint is not known."""
     torque: bool | None
-    """True if the torque is on, False if it is off. None if that is not known yet."""
+    """True if the torque is on, False if it is off. None if that is not known, for example because the servo does not
+    answer."""
     temperature_c: int | None
     """The temperature of the servo, degrees Celsius. None if not known."""
     supply_v: float | None

@@ -44,10 +44,10 @@ class Joint:
         self.velocity = 0.0
         self.known = False
         """True if the joint is at `position`: the servo's position was read, and the joint has since moved only as
-        commanded."""
+        commanded. A joint without torque may have been moved by hand since, so it is read again before it moves."""
         self.loaded: bool | None = None
         """True if the torque is on, False if it is off, as the servo last reported or as the arm last switched it. None
-        if neither has happened yet."""
+        if neither has happened yet, or not since the servo was silent."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from struct import iter_unpack
+
 import pytest
 
 from failstop.board import servos
@@ -9,7 +12,7 @@ from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
 from failstop.policy.joints import MOST_MISSES
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS
+from failstop.procs.gate.arm.core import ENDED, FIND_NS, LIMP_NS, LOST_NS, SERVICE, TORQUE_APART_NS
 from failstop.procs.gate.arm.goals import Goal
 from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
@@ -61,13 +64,114 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
     bench.until(lambda: len(bench.times(servos.SERVO_MOVE)) > 3)
     on = bench.times(servos.TORQUE_ON)
     assert on == [on[0] + number * TORQUE_APART_NS for number in range(6)]
-    assert on[0] - asked_ns <= APART_NS
+    read = [t_ns for t_ns in bench.times(servos.POSITION) if t_ns >= asked_ns]
+    assert read == [read[0] + number * APART_NS for number in range(12)], "each joint twice"
+    assert read[0] - asked_ns <= APART_NS
+    assert on[0] - read[-1] <= APART_NS
     moves = bench.times(servos.SERVO_MOVE)
     assert moves[0] == on[-1] + TORQUE_APART_NS
     assert moves[3] == moves[0] + PERIOD_NS
     groups = [data[3] for _, data in bench.frames if data[0] == servos.SERVO_MOVE]
     assert groups == [MOST_MOVES] * 4
     assert moves[:3] == [moves[0] + number * (PERIOD_NS // 3) for number in range(3)]
+
+
+def first_move(bench: ArmBench, servo: int) -> int:
+    """Goes on until this servo is moved; where to."""
+
+    def moves() -> list[int]:
+        frames = [data for _, data in bench.frames if data[0] == servos.SERVO_MOVE]
+        return [to for data in frames for one, to in iter_unpack("<BH", data[4:]) if one == servo]
+
+    bench.until(moves)
+    return moves()[0]
+
+
+def to_the_pose(bench: ArmBench) -> None:
+    pose = bench.core.pose(goals.DRIVE, SERVICE, "me")
+    assert pose
+    bench.core.execute(pose, bench.now)
+
+
+@pytest.mark.parametrize("loaded", [None, False], ids=["since power-on", "after a release"])
+@pytest.mark.parametrize(
+    ("start", "servo"),
+    [
+        (lambda bench: bench.execute((0.0, 500.0)), 1),
+        (lambda bench: bench.goal(), 1),
+        (lambda bench: bench.goal(goals.JOG), 1),
+        (to_the_pose, 2),
+    ],
+    ids=["trajectory", "follow", "jog", "pose"],
+)
+def test_joint_without_torque_that_was_moved_by_hand_begins_where_it_is(
+    bench: ArmBench, start: Callable[[ArmBench], object], servo: int, loaded: bool | None
+) -> None:
+    if loaded is False:
+        bench.execute((0.0, 510.0), joints=6)
+        bench.run(2.0)
+        bench.core.release(bench.now)
+        bench.run(2.0)
+        bench.known().frames.clear()
+    assert bench.core.joints[servo - 1].loaded is loaded
+    bench.servos.change(servo, bench.now, position=800.0)
+    start(bench)
+    assert first_move(bench, servo) == pytest.approx(800, abs=10)
+
+
+def test_joint_that_a_newer_goal_adds_begins_where_a_hand_has_moved_it(bench: ArmBench) -> None:
+    bench.goal()
+    bench.until(bench.core.streaming)
+    first, second = bench.core.joints[:2]
+    bench.servos.change(2, bench.now, position=800.0)
+    bench.core.accept(Goal(goals.FOLLOW, ME, "client 11", bench.now, {first: 0.1, second: 0.1}), "", bench.now)
+    assert first_move(bench, servo=2) == pytest.approx(800, abs=10)
+
+
+def test_joint_without_torque_is_read_again_while_another_one_can_not_be(bench: ArmBench) -> None:
+    bench.core.forget()
+    trajectory = bench.execute((0.0, 600.0), joints=2)
+
+    def move_the_shoulder(seconds: float) -> None:
+        until_ns = bench.now + round(seconds * 1e9)
+        while bench.now < until_ns:
+            bench.servos.change(2, bench.now, position=300.0 + 300 * (len(bench.frames) % 2))
+            bench.step()
+
+    move_the_shoulder(1.0)
+    assert trajectory.phase == goals.FINDING
+    bench.servos.change(1, bench.now, position=800.0)
+    move_the_shoulder(LIMP_NS * 1e-9)
+    bench.servos.change(2, bench.now, position=500.0)
+    assert first_move(bench, servo=1) == pytest.approx(800, abs=10)
+    bench.until(lambda: trajectory.done)
+    assert trajectory.outcome == ""
+
+
+def test_joint_that_has_lost_its_power_and_fallen_begins_where_it_lies(bench: ArmBench) -> None:
+    joint, servo = bench.core.joints[0], bench.servos.by_id[1]
+    bench.execute((0.0, 510.0))
+    bench.run(2.0)
+    bench.servos.change(1, bench.now, silent=True)
+    bench.until(lambda: joint.silent)
+    servo.torque = False
+    bench.servos.change(1, bench.now, silent=False, position=800.0)
+    bench.until(lambda: not joint.silent)
+    bench.frames.clear()
+    bench.goal()
+    assert first_move(bench, servo=1) == pytest.approx(800, abs=10)
+    assert servo.torque
+
+
+def test_joint_with_torque_moves_at_once(bench: ArmBench) -> None:
+    """Nobody has moved it, so it is not read again."""
+    bench.execute((0.0, 510.0))
+    bench.run(2.0)
+    assert bench.core.joints[0].loaded
+    bench.frames.clear()
+    bench.goal()
+    bench.until_moves(1)
+    assert bench.times(servos.POSITION) == []
 
 
 def test_nothing_is_asked_while_it_moves_and_right_after(bench: ArmBench) -> None:

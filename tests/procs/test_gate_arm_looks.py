@@ -64,6 +64,40 @@ def test_the_only_joint_of_an_arm_is_looked_at_on_its_way() -> None:
     assert frames.count(bus.look([4])) == 4
 
 
+def begins_with(core: ArmCore, bus: ServoBus, servo: int, position: int, now: int) -> list[bytes]:
+    """The questions to a servo that stands at this position, and the frame after them."""
+    found: list[bytes] = []
+    while not found or found[-1] == bus.read(servo, POSITION):
+        if frame := core.step(now)[0]:
+            found.append(frame)
+        if frame == bus.read(servo, POSITION):
+            core.answer(servo, POSITION, position, now + SERVO_ANSWER_NS)
+        now = max(core.due_ns, now + SERVO_ANSWER_NS)
+    return found
+
+
+def test_torque_is_switched_on_where_a_hand_has_moved_the_joint() -> None:
+    core, bus = feetech({"joints.base.servo": 4})
+    joint = core.joints[0]
+    joint.loaded = False
+    core.accept(Goal(goals.FOLLOW, ME, "client 11", T0, {joint: joint.rad(2100.0)}), "", T0)
+    assert begins_with(core, bus, 4, 3000, T0) == [*[bus.read(4, POSITION)] * 2, bus.torque(4, True, 3000)]
+    assert joint.position == 3000
+
+
+def test_a_look_at_a_joint_without_torque_does_not_count_as_its_reading() -> None:
+    core, bus = feetech({"joints.base.servo": 4, "joints.elbow.servo": 5})
+    moving, limp = core.joints
+    limp.loaded = False
+    core.accept(Goal(goals.JOG, ME, "client 11", T0, {moving: 0.0}), "", T0)
+    core.step(T0)
+    now = core.due_ns
+    core.answer(limp.servo, POSITION, 3000, now)
+    core.accept(Goal(goals.JOG, ME, "client 11", now, {limp: 0.0}), "", now)
+    assert core.step(now) == (b"", True)
+    assert begins_with(core, bus, 5, 3000, core.due_ns)[-1] == bus.torque(5, True, 3000)
+
+
 TURNS = 400
 """Enough for an idle reader to ask each joint several times."""
 

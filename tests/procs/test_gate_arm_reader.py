@@ -155,6 +155,7 @@ def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Ben
     joint = bench.joints[0]
     if before:
         bench.say(bench.ask(joint), before)
+    joint.loaded = True
     bench.ask(joint)
     for number in range(1, MOST_MISSES + 3):
         begun_ns = bench.now
@@ -162,6 +163,7 @@ def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Ben
         assert bench.now == begun_ns + WAIT_NS
         assert joint.unpaired is None
         assert joint.misses == min(number, MOST_MISSES)
+        assert joint.loaded is (None if joint.silent else True), "it may have lost its power"
     assert joint.silent
     assert bench.say(question, 300) is None
     assert (joint.silent, joint.misses) == (False, 0)

@@ -57,7 +57,7 @@ def scene() -> Scene:
     """An arm with a shape, in mid-air beside its robot."""
     made = Scene(SHAPE)
     made.run(1.2)
-    made.execute({1: 1.5, 2: 1.5})
+    made.execute({1: 1.5, 2: 1.5, ELBOW: 0.0, 4: 0.0})
     assert made.finish() == (records.DONE, "arm is there")
     return made
 

@@ -203,7 +203,8 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
         scene.wake()
         if (state := scene.state())["phase"] not in phases[-1:]:
             phases.append(state["phase"])
-    assert phases == ["switching its torque on", "on its way", "settling", "reading back where it is", ""]
+    ways = ["finding out where it is", "switching its torque on", "on its way", "settling", "reading back where it is"]
+    assert phases == [*ways, ""]
     scene.ask_for(records.ARM_DRIVE, client=1)
     scene.run(0.6)
     state = scene.state()

@@ -5,7 +5,7 @@ can move arm and wheels together. A stop ends every movement. Enabling motion us
 
 A movement is a stream of short moves: in each period (arm.period_s), every joint gets one move that lasts about one
 period. So if the gate dies, the arm stops at the end of its last move. Each frame has the moves of a few servos. If a
-joint was stopped on its way to a goal, its position is read before the joint moves again.
+joint was stopped on its way to a goal, or if its torque may be off, its position is read before the joint moves again.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ far from the joint's end position, in pulses. Frames contain whole pulses, so th
 LOST_NS = 2_000_000_000
 """A trajectory that takes this much longer than planned has failed."""
 FIND_NS = 4_000_000_000
+LIMP_NS = 300_000_000
+"""While the arm waits for other joints, a joint without torque is read again after this time. To read eight joints
+takes about half of it."""
 
 
 class ArmCore:
@@ -64,6 +67,8 @@ class ArmCore:
         self._left: dict[Joint, float] = {}
         """The last goal of each joint of an ended stream that may still be moving to this goal. Always empty if
         ServoBus.holds_by_goal is False."""
+        self._rest_ns = now_ns
+        """The time of the last step at which the arm was not about to begin a movement."""
         self.letting_go: list[Joint] = []
         """The joints whose torque must still be switched off."""
         self.active_ns = 0
@@ -207,6 +212,7 @@ class ArmCore:
         if self.letting_go:
             return self._let_go(now_ns), False
         hold = self._end_stale(now_ns)
+        self._forget_limp(now_ns)
         wanted = self._advance_trajectory(now_ns)
         joints = self._to_stream()
         if joints and not self._stream.on:
@@ -226,6 +232,18 @@ class ArmCore:
         wanted = wanted or [joint for joint in self.joints if not joint.known]
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
+
+    def _forget_limp(self, now_ns: int) -> None:
+        """If the arm is about to begin a movement, forget where those of its joints are whose torque may be off, unless
+        they were read just now. Somebody may have moved such a joint by hand since it was read, and it would jump back
+        to that position."""
+        if self._stream.on or not (followed := self.followed):
+            self._rest_ns = now_ns
+            return
+        since_ns = max(self._rest_ns, now_ns - LIMP_NS)
+        for joint in self._space.wanted(list(followed.ends)):
+            if joint.known and not joint.loaded and joint.measured_ns <= since_ns:
+                joint.forget()
 
     def _hold_back(self, now_ns: int) -> bytes:
         """Return a frame that stops joints of an ended stream on their way to their last goals, or an empty frame. The

@@ -145,3 +145,5 @@ class ServoReader:
         self._distrust = True
         joint.misses = min(joint.misses + 1, MOST_MISSES)
         joint.unpaired = None
+        if joint.silent:
+            joint.loaded = None  # the servo may have lost its power, and with it its torque
