@@ -149,13 +149,19 @@ class Failstop(Robot):  # type: ignore[misc]
         return found
 
     def _read_arm(self, service: Service) -> None:
-        """Let the service read the arm, unless the position of every joint is known. Raises DeviceNotConnectedError if
-        the service refuses."""
+        """Let the service read the arm, if a joint was not read yet or may have been moved by hand because its torque
+        is off. Raises DeviceNotConnectedError if the service refuses and a joint was not read yet."""
         arm = service.state.arm
-        if self._scales and (arm is None or any(joint.at_rad is None for joint in arm.joints.values())):
+        joints = list(arm.joints.values()) if arm else []
+        unread = arm is None or any(joint.at_rad is None for joint in joints)
+        # While another program moves the arm, a request to read it would be a second program at the arm.
+        limp = arm is not None and not arm.by and not all(joint.torque for joint in joints)
+        if self._scales and (unread or limp):
             try:
                 service.arm.read()
             except Refused as error:
+                if not unread:
+                    return
                 raise DeviceNotConnectedError(
                     f"{self}: where the arm is was not read yet, and can't be now: {error}; connect again with motion"
                     f" disabled and no stop latched ({self._command('why')})"

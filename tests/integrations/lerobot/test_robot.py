@@ -67,6 +67,28 @@ def test_the_arm_follows_in_the_numbers_of_the_calibration(trial: ArmTrial, make
     assert seen["front"] == robot.observation_features["front"] == (2, 4, 3)
 
 
+def test_an_arm_without_torque_that_was_moved_by_hand_is_seen_where_it_is(trial: ArmTrial, make: Any) -> None:
+    trial.robot.arm.release()
+    trial.robot.arm.read()
+    for name, pulses in AT.items():
+        trial.board.servo(RANGES[name][0], position=pulses)
+    robot = make()
+    robot.connect()
+    seen = robot.get_observation()
+    assert {name: seen[name] for name in AIMS} == pytest.approx(AIMS, abs=2.0)
+
+
+def test_an_arm_without_torque_that_can_not_be_read_now_keeps_its_last_reading(trial: ArmTrial, make: Any) -> None:
+    trial.robot.arm.release()
+    seen = trial.robot.arm.read()
+    trial.robot.estop("somebody is in the way")
+    wait_for("the latch", lambda: trial.robot.state.cause)
+    robot = make(after_stop="wait")
+    robot.connect()
+    assert set(AIMS) <= set(robot.get_observation())
+    assert trial.robot.arm.state.joints["base"].angle_rad == pytest.approx(seen["base"], abs=0.02)
+
+
 @pytest.mark.parametrize("joints", [JOINTS, {}])
 def test_the_wheels_turn_as_lekiwi_s_numbers_say(trial: ArmTrial, make: Any, joints: dict[str, str]) -> None:
     robot = make(joints=joints)
