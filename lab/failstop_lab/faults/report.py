@@ -40,8 +40,8 @@ CONDITIONS = (
     "A bar is the longest p99 that a row may have, on two processor cores that nothing else uses, with real-time",
     "rights. On a shared or busy machine, or without the rights, a bar may be missed; *held* then says no. If a row",
     "was injected 100 times or less often, its p99 is the slowest of these. A missed stop counts as later than every",
-    "other. The test of a row allows 100 ms more than its bar, because it runs on any machine: it finds a stop that",
-    "does not come, while a campaign judges the bar.",
+    "other. The test of a row allows 100 ms more than its bar (1 s if the stop tool has to start), because it runs on",
+    "any machine: it finds a stop that does not come, while a campaign judges the bar.",
 )
 COLUMNS = ("n", "p50", "p99", "max", "bar", "held")
 """The columns with what was measured, at the end of each row of the page."""
