@@ -33,19 +33,18 @@ if TYPE_CHECKING:
 
 
 def stop(
-    path: str,
-    board: Board,
+    write_once: Callable[[], bool],
     wait: Callable[[PortError], float],
     say: Callable[[str], None],
     otherwise: Callable[[PortError], bool] = lambda _: False,
-    named_by: int = 0,
 ) -> tuple[float, bool]:
-    """Write the stop burst, and try again until it works or the time is over. Returns (how many seconds that took, what
-    write() returned; False if it was `otherwise` that worked). Raises the last PortError.
+    """Call `write_once`, which writes the stop burst by write(), and try again until it works or the time is over.
+    Returns (how many seconds that took, what write() returned; False if it was `otherwise` that worked). Raises the
+    last PortError.
 
     `wait` returns for how many seconds to try, and is called only after the first failure, because it may have to read
     a file. `otherwise` is called after each failure, and returns True if a stop was sent in another way. Then nothing
-    more is written. `say` prints a text. `named_by`: as for open_port().
+    more is written. `say` prints a text.
     """
     start_s = time.monotonic()
     wait_s = -1.0
@@ -53,7 +52,7 @@ def stop(
     while True:
         waited_s = time.monotonic() - start_s
         try:
-            held = write(path, board, named_by=named_by)
+            held = write_once()
         except PortError as error:
             if otherwise(error):
                 return waited_s, False

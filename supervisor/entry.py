@@ -60,7 +60,7 @@ def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
     again."""
     try:
         supervisor = Supervisor(run, port, notify)
-        run.publish(kept.pack_stop(port.board))
+        run.publish(kept.pack_stop(port.board), supervisor.handover.opener.finder.usb)
     except BaseException:
         run.remove()
         raise

@@ -193,6 +193,8 @@ class Supervisor:
             self.tracker.opened(written_ns, now_ns, sure=self.handover.sure)
         if self.tracker.link.believed:
             self.handover.believe()
+        if where := self.handover.where:
+            self._run.follow_port(*where)
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:

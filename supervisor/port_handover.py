@@ -207,6 +207,13 @@ class PortHandover:
         return self.opener.finder.sure
 
     @property
+    def where(self) -> tuple[str, str] | None:
+        """(path, USB device) of the board's port. None if no port is open, or if the open device may not be the
+        board."""
+        finder = self.opener.finder
+        return (finder.at, finder.usb) if self._port.fd >= 0 and finder.sure else None
+
+    @property
     def misplaced(self) -> bool:
         """True if the open device is not the board, because the board is now connected at another port."""
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed

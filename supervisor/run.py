@@ -130,17 +130,34 @@ class Run:
         self.own.latest_writer("rules").write(pack(rules))
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
-    def publish(self, stop: str = "") -> None:
+    def publish(self, stop: str = "", usb: str = "") -> None:
         """Publish the run's name, so that clients can find the run. Call this when everything that clients read exists.
         Also saves the command line that starts the same service again, and how a command can stop the robot while no
-        service runs. `stop`: the board's stop, as board/kept.py packs it. Raises OSError."""
-        device = os.path.abspath(self.settings.text("device.path"))
+        service runs. `stop`: the board's stop, as board/kept.py packs it. `usb`: the USB device at the port
+        (finder.Device.text). Raises OSError."""
+        self._port = self.settings.text("device.path"), usb
+        device = os.path.abspath(self._port[0])
         kind = self.settings.text("board.kind")
-        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
+        self._last = instance.Last(device, self._again, self.settings.servos(), kind, stop, usb)
+        instance.remember(self.runtime_dir, self._last)
         self.published = instance.publish_run(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:
             segments.unlink_all(run)
+
+    def follow_port(self, path: str, usb: str) -> None:
+        """Save where the board is now, if that has changed: a command that stops the robot after the death of this run
+        writes to this port. `path`: its port. `usb`: the USB device at that port (finder.Device.text)."""
+        if (path, usb) == self._port:
+            return
+        self._port = path, usb
+        try:
+            self._last.device, self._last.usb = os.path.abspath(path), usb
+            instance.remember(self.runtime_dir, self._last)
+        except OSError as error:
+            text = f"the board's new port {path} could not be saved ({error.strerror})"
+            step = "restart the service when the robot may stop: if all of it is killed, its stop goes to the old port"
+            self.events.log("note", text, level="warning", step=step)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
         """Every descriptor that the process `process` may inherit. The keys are the names of the options on its command

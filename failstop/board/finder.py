@@ -55,6 +55,11 @@ class Device:
         """The part of the description that all devices with the same chip share."""
         return self.vendor, self.product, self.part
 
+    @property
+    def text(self) -> str:
+        """The device and its socket as one line of text. Equal devices have equal texts."""
+        return "|".join((*self.what, self.place))
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Device) and (self.what, self.place) == (other.what, other.place)
 
@@ -85,6 +90,13 @@ def identity(device: str, like: Device | None = None) -> Device | None:
 def of_number(number: int, sysfs: str = "/sys") -> Device | None:
     """Return the USB device to which the tty with this device number belongs. None if it belongs to no USB device."""
     return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
+
+
+def usb_text(number: int, sysfs: str = "/sys") -> str:
+    """Return Device.text of the USB device to which the tty with this device number belongs. Empty if it belongs to no
+    USB device."""
+    found = of_number(number, sysfs)
+    return found.text if found else ""
 
 
 def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
@@ -198,6 +210,11 @@ class Finder:
     def settled(self) -> bool:
         """True if the device that was opened last is the known board. Also True if no board is known yet."""
         return self._held == self._board
+
+    @property
+    def usb(self) -> str:
+        """Device.text of the device that was opened last. Empty if it is not a USB device."""
+        return self._held.text if self._held else ""
 
     def believe(self) -> None:
         """Record that the open device is the board, because it has answered as the board does."""

@@ -15,7 +15,8 @@ _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 STOP_FIELD = "stop "
-"""In the file of the last run, the field with the board's stop begins with this text."""
+USB_FIELD = "usb "
+"""In the file of the last run, the fields with the board's stop and with its USB device begin with these texts."""
 LAST_BYTES = 65536
 """The most bytes that are read from the file of the last run. Even the longest possible paths, quoted for a shell, fit
 into it."""
@@ -25,7 +26,7 @@ class Last(Data):
     """How the last service of a name was started. The stop tool uses it when no service is running."""
 
     device: str = ""
-    """The path of its port; empty if this user can't see an earlier run."""
+    """The path of the port that it had in the end; empty if this user can't see an earlier run."""
     command: str = ""
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
@@ -33,6 +34,8 @@ class Last(Data):
     """The kind of its board; empty if not known."""
     stop: str = ""
     """The stop frames and baud rate of its board (board/kept.py); empty if not known."""
+    usb: str = ""
+    """The USB device at its port (finder.Device.text); empty if it was none, or if it is not known."""
     owner: int = 0
     """The uid of the user who owns the file with these values. That user may have written anything into it."""
 
@@ -107,7 +110,8 @@ def publish_run(runtime_dir: str, incarnation: int) -> int:
 
 def remember(runtime_dir: str, last: Last) -> None:
     """Save how this service was started, for use after it has ended. Raises OSError."""
-    words = last.device, last.command, last.board, f"{STOP_FIELD}{last.stop}", *map(str, last.servos)
+    fields = f"{STOP_FIELD}{last.stop}", f"{USB_FIELD}{last.usb}"
+    words = last.device, last.command, last.board, *fields, *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
@@ -121,8 +125,11 @@ def last(name: str) -> Last:
                 found.append(_read(path))
     try:
         _, owner, (device, command, board, *rest) = max(found)
-        stop = rest.pop(0).removeprefix(STOP_FIELD) if rest and rest[0].startswith(STOP_FIELD) else ""
-        return Last(device, command if command.isprintable() else "", tuple(map(int, rest)), board, stop, owner)
+        stop, usb = (
+            rest.pop(0).removeprefix(field) if rest and rest[0].startswith(field) else ""
+            for field in (STOP_FIELD, USB_FIELD)
+        )
+        return Last(device, command if command.isprintable() else "", tuple(map(int, rest)), board, stop, usb, owner)
     except ValueError:  # no file was found, or it is damaged
         return Last()
 

@@ -6,10 +6,13 @@ from __future__ import annotations
 import pytest
 
 from failstop.api import verdict
+from failstop.messages.layout import PROCESS_NAMES
+from failstop_lab.machine.robot import DEVICE
 from failstop_lab.machine.usb import LookAlike, Plug
 from tests.support.boards import every_board
 from tests.support.simulated import Simulated
 
+FILE = "/root/failstop.toml"
 HERE, BESIDE, ELSEWHERE = "1-1.2", "1-1.3", "1-1.4"
 """Sockets: the board's, its look-alike's, a free one."""
 AWAY_S = 0.3
@@ -220,3 +223,51 @@ def test_failstop_stop_is_no_success_where_the_board_is_not_heard() -> None:
     assert "has not answered since it came back" in err
     assert "THE WHEELS MAY TURN" in bench.simulated.command("why")[1]
     assert "MAY TURN" in bench.simulated.command("status")[1]
+
+
+def killed(bench: Bench) -> None:
+    """Every process of the service dies while the robot drives."""
+    simulated = bench.simulated
+    simulated.enable()
+    simulated.drive(0.3)
+    assert simulated.turning()
+    for name in PROCESS_NAMES:
+        simulated.lab.kill(name)
+    bench.look_alike.heard.clear()
+
+
+def stopped_by_systemd(bench: Bench) -> bool:
+    """systemd runs the stop tool with the service's file, which names the first port."""
+    lab = bench.simulated.lab
+    lab.write(FILE, f'device.path = "{DEVICE}"\n')
+    lab.write("/proc/self/cgroup", "0::/system.slice/failstop.service\n")
+    code, _, _ = lab.command(("stop", "--end-service", "--config", FILE), environ={"SERVICE_RESULT": "signal"})
+    return code == 0 and not bench.look_alike.heard
+
+
+def test_the_last_stop_goes_where_the_board_was_found_again() -> None:
+    bench = Bench("A", "B")
+    bench.drive()
+    bench.reset_hub()
+    bench.other(0)
+    bench.board(1, ELSEWHERE)
+    bench.stopped()
+    killed(bench)
+    assert stopped_by_systemd(bench)
+    assert not bench.simulated.turning()
+
+
+def test_the_last_stop_goes_to_no_look_alike_at_the_last_port() -> None:
+    """The board is back under the name in the file, and its look-alike has the name that the board had."""
+    bench = Bench("A", "B")
+    bench.drive()
+    bench.reset_hub()
+    bench.other(0)
+    bench.board(1)
+    bench.stopped()
+    killed(bench)
+    bench.simulated.lab.unplug_usb()
+    bench.board(0)
+    bench.other(1)
+    assert stopped_by_systemd(bench)
+    assert not bench.simulated.turning()

@@ -223,6 +223,28 @@ def test_the_last_run_s_port_goes_before_the_installed_file_s(
     assert said == (f"{err}If that is not the board, name its port with --device\n" if err else "")
 
 
+@pytest.mark.parametrize("words", ["--end-service", "--last-port"])
+@pytest.mark.parametrize(("last", "device"), [("/dev/last", "/dev/last"), ("/dev/gone", "/dev/board")])
+def test_for_systemd_the_port_of_the_dead_run_goes_before_the_file_s(
+    tool: Tool, last: str, device: str, words: str
+) -> None:
+    """Somebody may have edited the file since the run was started."""
+    tool.lab.write(FILE, 'device.path = "/dev/board"\n')
+    tool.last_run(last)
+    in_service(tool)
+    assert tool.goes(*words.split(), "--config", FILE)[:2] == (0, device)
+
+
+def test_for_systemd_the_port_of_the_dead_run_is_tried_until_it_is_back(tool: Tool) -> None:
+    tool.lab.write(FILE, 'device.path = "/dev/board"\n')
+    tool.last_run("/dev/last")
+    in_service(tool)
+    tool.machine.at(tool.machine.now_ns + 3_000_000_000, lambda: tool.plug("last"))
+    code, out, _ = tool.run("--end-service", "--config", FILE)
+    assert (code, out.startswith("stop frame sent (after 3.0 s)")) == (0, True)
+    assert tool.boards["/dev/last"].without_pings() == BURST
+
+
 def test_a_last_run_s_port_that_fails_is_no_reason_to_write_to_another(tool: Tool) -> None:
     tool.lab.write("/dev/no-tty", "")
     tool.last_run("/dev/no-tty")

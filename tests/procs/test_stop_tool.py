@@ -9,6 +9,7 @@ import subprocess
 import sys
 import termios
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -55,7 +56,8 @@ def stop(machine: PortMachine, said: list[str]) -> Stop:
     """Runs the tool, for so many seconds at most."""
 
     def stop(wait_s: float = 0.0, path: str = machine.wire.link) -> float:
-        return float(machine.load("failstop.stop_tool").stop(path, BOARD, lambda _: wait_s, said.append)[0])
+        tool = machine.load("failstop.stop_tool")
+        return float(tool.stop(partial(tool.write, path, BOARD), lambda _: wait_s, said.append)[0])
 
     return stop
 
@@ -95,7 +97,7 @@ def test_the_tool_reports_a_service_that_has_the_port(machine: PortMachine, said
     fcntl = machine.system["fcntl"]
     if held:
         fcntl.flock(fd, fcntl.LOCK_EX)
-    assert tool.stop(machine.wire.link, BOARD, lambda _: 0.0, said.append)[1] is held
+    assert tool.stop(partial(tool.write, machine.wire.link, BOARD), lambda _: 0.0, said.append)[1] is held
     machine.os.close(fd)
     assert machine.wire.read().startswith(BURST)
 
@@ -108,10 +110,10 @@ def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine,
         asked.append(error)
         return 0.5
 
-    tool.stop(machine.wire.link, BOARD, asks, said.append)
+    tool.stop(partial(tool.write, machine.wire.link, BOARD), asks, said.append)
     assert asked == []
     with pytest.raises(refused, match="no device"):
-        tool.stop(ABSENT, BOARD, asks, said.append)
+        tool.stop(partial(tool.write, ABSENT, BOARD), asks, said.append)
     assert [error.kind for error in asked] == ["absent"]
 
 
@@ -140,11 +142,11 @@ def test_a_stop_that_another_way_has_sent_is_not_waited_for(machine: PortMachine
         return 0.05
 
     if sent:
-        assert tool.stop(ABSENT, BOARD, wait, said.append, another) == (0.0, False)
+        assert tool.stop(partial(tool.write, ABSENT, BOARD), wait, said.append, another) == (0.0, False)
         assert (ways, waits) == (["absent"], [])
     else:
         with pytest.raises(machine.load("failstop.board.port").PortError, match="no device"):
-            tool.stop(ABSENT, BOARD, wait, said.append, another)
+            tool.stop(partial(tool.write, ABSENT, BOARD), wait, said.append, another)
         assert len(ways) > 1
         assert (set(ways), waits) == ({"absent"}, ["absent"])
 
@@ -161,10 +163,9 @@ def test_a_port_that_a_user_s_file_names_is_opened_with_that_user_s_rights(machi
     tool.open_port = noting
     link = machine.wire.link
     for by in ({}, {"named_by": 1000}):
-        tool.stop(link, BOARD, lambda _: 0.0, str, **by)
         tool.write(link, BOARD, **by)
         tool.answered(link, BOARD, patient=False, **by)
-    assert opened == [(0, False)] * 3 + [(1000, False)] * 3
+    assert opened == [(0, False)] * 2 + [(1000, False)] * 2
 
 
 @pytest.fixture

@@ -95,9 +95,10 @@ def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: li
 @pytest.mark.parametrize("stop", ["", "ugv 115200 7b7d", "stop stop "])
 def test_the_board_s_stop_and_whose_file_says_so_are_kept(on: SimpleNamespace, bases: list[str], stop: str) -> None:
     path = on.instances.make_runtime_dir("robot")
-    on.instance.remember(path, on.instance.Last("/dev/x", "failstop run", (1, 2), "ugv", stop, owner=7))
+    usb = "1a86|55d4||1.0|1-1.2"
+    on.instance.remember(path, on.instance.Last("/dev/x", "failstop run", (1, 2), "ugv", stop, usb, owner=7))
     found = on.instance.last("robot")
-    assert (found.servos, found.board, found.stop, found.owner) == ((1, 2), "ugv", stop, USER)
+    assert (found.servos, found.board, found.stop, found.usb, found.owner) == ((1, 2), "ugv", stop, usb, USER)
 
 
 @pytest.mark.parametrize("servos", [(), (4,)])
@@ -105,7 +106,7 @@ def test_a_file_without_a_stop_is_read(on: SimpleNamespace, bases: list[str], se
     words = ("/dev/x", "failstop run", "rrc", *map(str, servos))
     put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), "\0".join(words))
     found = on.instance.last("robot")
-    assert (found.board, found.servos, found.stop) == ("rrc", servos, "")
+    assert (found.board, found.servos, found.stop, found.usb) == ("rrc", servos, "", "")
 
 
 def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str]) -> None:

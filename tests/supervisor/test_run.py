@@ -282,3 +282,19 @@ def test_the_next_program_finds_how_the_run_was_started_and_the_stop_of_its_boar
     scene.run.publish("a stop")
     last = scene.load("failstop.files.instance").last("stage")
     assert (last.device, last.board, last.stop) == (DEVICE, "rrc", "a stop")
+
+
+def test_a_new_port_of_the_board_is_saved_once_and_a_disk_that_refuses_ends_nothing(scene: Scene) -> None:
+    last = scene.load("failstop.files.instance").last
+    scene.run.follow_port("/dev/ttyACM1", "its device")
+    assert (last("stage").device, last("stage").usb, last("stage").board) == ("/dev/ttyACM1", "its device", "rrc")
+    scene.refuse("rename", OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    for _ in range(2):
+        scene.run.follow_port("/dev/ttyACM2", "its device")
+    scene.allow()
+    assert last("stage").device == "/dev/ttyACM1"
+    scene.run.events.flush()
+    [event] = scene.events()
+    assert event["text"].startswith(
+        "the board's new port /dev/ttyACM2 could not be saved (No space left on device); next: restart the service"
+    )

@@ -205,6 +205,7 @@ def test_a_stop_that_was_not_written_is_somebody_elses_until_the_service_runs_ag
     assert ("Conflicts", service) in its, "so that it does not start while a start of the service waits"
     command = dict(its)["ExecStart"]
     assert command.startswith("/opt/failstop/bin/failstop stop --")
+    assert "--last-port" in command, "as ExecStopPost, where the dead run really had its board"
     BY_KEY["stop.wait_s"].check(float(command.split()[-1]))
 
 

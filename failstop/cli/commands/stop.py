@@ -93,7 +93,14 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--end-service",
         action="store_true",
-        help="first kill (SIGKILL) all remaining processes of the service; only for its systemd unit (ExecStopPost)",
+        help="first kill (SIGKILL) all remaining processes of the service; only for its systemd unit (ExecStopPost); "
+        "implies --last-port",
+    )
+    parser.add_argument(
+        "--last-port",
+        action="store_true",
+        help="if the board of the last run is still at the port that this run had, write to it, even if the file given "
+        "with --config names another port; only for the systemd units",
     )
 
 
@@ -115,7 +122,8 @@ def main(arguments: Namespace) -> int:
     if arguments.services:
         return _every_service(reason, who)
     start_s = time.monotonic()
-    order = Order(arguments.name, reason, who, Target(arguments))
+    last_first = arguments.end_service or arguments.last_port
+    order = Order(arguments.name, reason, who, Target(arguments, last_first=last_first))
     if arguments.end_service:
         return _end(order.target, start_s)
     why_not = ""
@@ -269,11 +277,15 @@ def _every_service(reason: str, who: str) -> int:
 class Target:
     """Chooses the port for the stop, and how long to try. The port comes from the first of these that names one: the
     option --device, the file given with --config, a running service, the last run, the installed settings file, and the
-    default. The settings file is read only if it is needed. Only its settings about the stop are checked, so that a
-    mistake in another setting can't prevent the stop."""
+    default. With `last_first`, the last run comes before the file, as long as its board is still at its port: somebody
+    may have edited the file since the service started, or the board may have come back at another port.
 
-    def __init__(self, arguments: Namespace) -> None:
+    The settings file is read only if it is needed. Only its settings about the stop are checked, so that a mistake in
+    another setting can't prevent the stop."""
+
+    def __init__(self, arguments: Namespace, *, last_first: bool = False) -> None:
         """Check the options. Raises SettingError."""
+        self._last_first = last_first
         options = {DEVICE: ("--device", arguments.device), WAIT: ("--wait", arguments.wait)}
         self._given = {
             key: BY_KEY[key].check(value, name) for key, (name, value) in options.items() if value is not None
@@ -324,11 +336,25 @@ class Target:
             return self._instead
         if named := self._given.get(DEVICE):
             return str(named), 0
+        last = self._last.device, self._last.owner
+        at_last = self._is_at_last_port() if self._last_first and last[0] else None
+        if at_last:
+            return last
         if self._config and DEVICE in self._file:
             return self._guess()
         if self._known[0]:
             return self._known
-        return (self._last.device, self._last.owner) if self._last.device else self._guess()
+        return last if last[0] and at_last is not False else self._guess()
+
+    def _is_at_last_port(self) -> bool | None:
+        """Return True if the device that the last run had is still at the last run's port, False if another device is
+        there now, and None if there is none."""
+        from failstop.board import finder  # imported only here, because a stop by hand does not need it
+
+        try:
+            return finder.usb_text(os.stat(self._last.device).st_rdev) == self._last.usb
+        except OSError:
+            return None
 
     def board(self) -> Board:
         """Return the board at the port. Its kind comes from the last run if that run used this port, else from the
@@ -374,7 +400,9 @@ class Target:
         return f"{self.device()}{of}"
 
     def _is_last(self) -> bool:
-        return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
+        if not self._last.device or self.wanted() or self._known[0] or self._instead[0]:
+            return False
+        return self._is_the_last_s()
 
     def _guess(self) -> tuple[str, int]:
         """Return the port in the settings file and the uid of the file's owner. Without one, return the default port
@@ -422,6 +450,11 @@ class Target:
         robot in another way. Raises PortError."""
         elsewhere = False
 
+        def write() -> bool:
+            # Chosen again for each try, because devices may come and go meanwhile.
+            device, owner = self._chosen()
+            return stop_tool.write(device, self.board(), named_by=owner)
+
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
                 standard.say(self.explained(error))
@@ -436,8 +469,7 @@ class Target:
             return elsewhere
 
         try:
-            device, owner = self._chosen()
-            after_s, held = stop_tool.stop(device, self.board(), wait_s, standard.say, another, owner)
+            after_s, held = stop_tool.stop(write, wait_s, standard.say, another)
             if elsewhere and not self._instead[0]:
                 return after_s
             self._stopped, self._held = True, held or self._held

@@ -167,7 +167,7 @@ def halting(path: str, kind: str, baud: str) -> Callable[[float], bool]:
         written, wait = False, lambda _: wait_s
         for _ in range(WRITES):
             try:
-                stop_tool.stop(path, board, wait, lambda _: None)
+                stop_tool.stop(lambda: stop_tool.write(path, board), wait, lambda _: None)
                 written, wait = True, _no_wait  # a repeat need not wait for a port that has gone since
             except PortError:
                 if wait_s:
