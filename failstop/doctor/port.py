@@ -20,6 +20,10 @@ again, while the port's number may change."""
 BY_ID = "/dev/serial/by-id/"
 NUMBERED = ("/dev/ttyACM", "/dev/ttyUSB")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
+BY_PATH = "ls -l /dev/serial/by-path"
+NAME_BY_PATH = (
+    "set device.path to the board's name in that folder, which depends only on its USB socket, and restart the service"
+)
 NO_DESCRIPTION = "n/a"
 """pyserial's description of a port that has none. It is a built-in port of a PC, which may be unused."""
 GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
@@ -38,8 +42,11 @@ def present(look: Look) -> list[Finding]:
         text = f"no device {device} ({origin}); {there if candidates else 'no USB serial device is plugged in'}"
         if not candidates and (found := taken(look.system)):
             return fail(f"no device {device} ({origin}); {found[0].text}", found[0].fix, found[0].advice)
-        if board := next((path for path, what in candidates if any(usb in what for usb in own)), None):
-            return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
+        boards = [path for path, what in candidates if any(usb in what for usb in own)]
+        if len(boards) > 1:
+            return fail(text, BY_PATH, f"{' and '.join(boards)} have the board's USB chip: {NAME_BY_PATH}")
+        if boards:
+            return fail(text, f"failstop doctor --device {boards[0]}", f"then set device.path to {boards[0]}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and look whether the kernel reports it")
     shared = device == LINK or device.startswith(NUMBERED) or (look.twins and device.startswith(BY_ID))
     if shared and look.look_alikes and not look.device_path:
@@ -48,11 +55,7 @@ def present(look: Look) -> list[Finding]:
             f"{device} ({origin}) may be the board or {others}: both have the same USB chip, and a reset may swap "
             "their names"
         )
-        advice = (
-            "set device.path to the board's name in that folder, which depends only on its USB socket, and "
-            "restart the service"
-        )
-        return warn(text, "ls -l /dev/serial/by-path", advice)
+        return warn(text, BY_PATH, NAME_BY_PATH)
     if not look.device_path and device != LINK and os.path.realpath(look.system.path(LINK)) == node.resolved:
         text = f"{device} ({origin}) is the board now, but after a replug another device may get that number"
         advice = f"set device.path to {LINK}, which always names the board, and restart the service"

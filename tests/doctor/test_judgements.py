@@ -425,18 +425,24 @@ def test_where_it_is_tried(changed: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("devices", "says"),
+    ("devices", "says", "fix"),
     [
-        ([("/dev/ttyACM1", "x, USB 1a86:55d4")], "found: /dev/ttyACM1"),
-        ([("/dev/ttyS0", "n/a")], "no USB serial device is plugged in"),
+        ([("/dev/ttyACM1", "x, USB 1a86:55d4")], "found: /dev/ttyACM1", "failstop doctor --device /dev/ttyACM1"),
+        (
+            [(f"/dev/ttyACM{number}", "x, USB 1a86:55d4") for number in (1, 2)],
+            "found: /dev/ttyACM1",
+            "ls -l /dev/serial/by-path",
+        ),
+        ([("/dev/ttyS0", "n/a")], "no USB serial device is plugged in", "sudo dmesg | tail"),
     ],
 )
-def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -> None:
+def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str, fix: str) -> None:
     [finding] = [finding for name, finding in examine(look(node=None, ports=devices)) if name == "port"]
     assert finding.level == FAIL
     assert "no device /dev/ttyACM0 (the default); " in finding.text
     assert says in finding.text
-    assert finding.fix
+    assert finding.fix == fix
+    assert ("set device.path to /dev/ttyACM" in finding.advice) == (len(devices) == 1 and "ttyACM1" in says)
 
 
 @pytest.mark.parametrize(

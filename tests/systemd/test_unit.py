@@ -300,10 +300,13 @@ def test_the_rules_are_for_every_port_that_a_board_may_be_at(sets: str) -> None:
     assert set(re.findall(r"for vendor in ([\w ]+);", postinst)[0].split()) == vendors
 
 
-@pytest.mark.parametrize(("chips", "named"), [(["1a86/55d4"], True), (["1a86/55d4", "1546/1a8"], True),
-    (["1a86/55d4", "1a86/55d4"], False), (["1546/1a8"], False), ([], False)])  # fmt: skip
-def test_the_link_is_for_a_chip_that_one_device_alone_has(tmp_path: Path, chips: list[str], named: bool) -> None:
-    """The program of the rule, on a sysfs of this test's."""
+@pytest.mark.parametrize(("chips", "has", "named"), [(["1a86/55d4"], "", True), (["1a86/55d4", "1546/1a8"], "", True),
+    (["1a86/55d4", "1a86/55d4"], "", False), (["1546/1a8"], "", False), ([], "", False),
+    (["1a86/55d4", "1a86/55d4"], "board", True), (["1a86/55d4", "1a86/55d4"], "other", False)])  # fmt: skip
+def test_the_link_is_for_a_chip_that_one_device_alone_has(
+    tmp_path: Path, chips: list[str], has: str, named: bool
+) -> None:
+    """The program of the rule, on a sysfs of this test's, for the tty `board`. `has`: the tty that has the link."""
     rule = next(line for line in (SYSTEMD / "failstop.udev").read_text().splitlines() if "PROGRAM" in line)
     (program,) = (value for key, _, value in RULE.findall(rule) if key == "PROGRAM")
     for number, chip in enumerate(chips):
@@ -312,9 +315,14 @@ def test_the_link_is_for_a_chip_that_one_device_alone_has(tmp_path: Path, chips:
         (device / "uevent").write_text(f"MAJOR=189\nDEVTYPE=usb_device\nPRODUCT={chip}/443\n")
         (tmp_path / f"ttyACM{number}").mkdir()
         (tmp_path / f"ttyACM{number}" / "device").symlink_to(device / "interface")
-    done = subprocess.run(
-        shlex.split(program.replace("/sys/class/tty", str(tmp_path))), check=False, capture_output=True
-    )
+    for node in ("board", "other"):
+        (tmp_path / node).touch()
+    if has:
+        (tmp_path / "failstop").symlink_to(has)
+    for path, ours in (("/sys/class/tty", ""), ("$devnode", "/board"), ("/dev/failstop", "/failstop")):
+        assert path in program
+        program = program.replace(path, f"{tmp_path}{ours}")
+    done = subprocess.run(shlex.split(program), check=False, capture_output=True)
     assert (done.returncode == 0) is named
 
 
