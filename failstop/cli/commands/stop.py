@@ -87,8 +87,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--services",
         action="store_true",
-        help="ask every running service to stop, but write to no port; only for the systemd unit that runs before the "
-        "computer sleeps",
+        help="ask every running service that this user can see to stop, but write to no port; only for the systemd "
+        "unit that runs before the computer sleeps",
     )
     parser.add_argument(
         "--end-service",
