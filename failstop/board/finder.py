@@ -17,6 +17,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from failstop.board.interface import Board
     from failstop.board.wire import Port
 
 SEARCH_EVERY_NS = 10_000_000
@@ -97,6 +98,19 @@ def usb_text(number: int, sysfs: str = "/sys") -> str:
     USB device."""
     found = of_number(number, sysfs)
     return found.text if found else ""
+
+
+def refuse_stranger(path: str, board: Board, sysfs: str = "/sys") -> None:
+    """Raise port.PortError if the device at this path certainly is not the board, by its USB id. Call this before a
+    port is opened that nobody has named: it may belong to another program."""
+    try:
+        found = of_number(os.stat(path).st_rdev, sysfs)
+    except OSError:
+        return
+    usb = f"{found.vendor}:{found.product}" if found else ""
+    if board.usb_alone and usb and usb not in board.usb:
+        step = "set device.path and board.kind, or run `failstop setup`"
+        raise port.PortError("absent", f"{path} is USB {usb}, not the board, so it was not opened: {step}")
 
 
 def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:

@@ -51,9 +51,9 @@ _FILE_KINDS = {
 class PortError(Exception):
     """Raised if the port can't be used. The message is one line that names the path and says what to do.
 
-    `kind` is "absent" (there is no such device), "permission", "not-a-tty" (something else is at that path), "busy"
-    (another process holds it exclusively) or "io" (the device or the system failed). `errno` is the system's error
-    number, or 0.
+    `kind` is "absent" (there is no such device, or it is certainly not the board), "permission", "not-a-tty" (something
+    else is at that path), "busy" (another process holds it exclusively) or "io" (the device or the system failed).
+    `errno` is the system's error number, or 0.
     """
 
     def __init__(self, kind: Kind, message: str, number: int = 0) -> None:

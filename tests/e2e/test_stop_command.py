@@ -18,6 +18,7 @@ from failstop_lab.machine.kernel import Machine
 from failstop_lab.machine.port import Port
 from failstop_lab.machine.process import Process
 from failstop_lab.machine.robot import BoardPort, Robot
+from failstop_lab.machine.usb import Plug
 
 FILE = "/root/failstop.toml"
 PORTS = ("board", "other", "ttyACM0", "last", "left")
@@ -276,6 +277,31 @@ def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
         "no settings name another board\nthe board at /dev/ttyACM0 answers\n"
     )
     assert tool.run() == (0, out, "")
+
+
+STRANGER = Plug("", "1-1.2", "0483", "5740")
+"""Another device at the default port, such as a VESC that another program drives."""
+
+
+@pytest.mark.parametrize("setting", ["", 'board.kind = "vesc"\n', 'device.path = "/dev/ttyACM0"\n'])
+@pytest.mark.parametrize("words", ["run", "stop --wait 0", "stop --end-service --wait 0"])
+def test_the_default_port_is_left_alone_where_it_is_certainly_another_device(words: str, setting: str) -> None:
+    lab = Robot(usb=STRANGER)
+    lab.join("test")
+    heard = b""
+
+    def hear(data: bytes) -> None:
+        nonlocal heard
+        heard += data
+
+    lab.board.on_bytes = hear
+    lab.write(FILE, f"gate.lease_s = 99\n{setting}")  # so that `run` ends after its stop
+    code, _, err = lab.command((*words.split(), "--config", FILE, "--name", "left"))
+    if setting:
+        assert heard, "somebody has named it"
+        return
+    assert (code, heard) == (1, b"")
+    assert "/dev/ttyACM0 is USB 0483:5740, not the board, so it was not opened: set device.path and board.kind" in err
 
 
 # What the board says to it.

@@ -10,6 +10,7 @@ from argparse import ArgumentParser, Namespace
 
 from failstop import config, instances
 from failstop.api.errors import FailstopError
+from failstop.board import finder
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
@@ -49,6 +50,8 @@ def main(arguments: Namespace) -> int:
     device, board, read, of = _device(arguments)
     port, lost = None, None
     try:
+        if not (arguments.device or {DEVICE, KIND} & {*(read or {})} or of == OF_LAST_RUN):
+            finder.refuse_stranger(device, board)
         port = OwnPort.open_and_stop(device, board, lambda: instances.refuse_locked(arguments.name))
     except PortError as error:
         if error.kind == "busy":

@@ -394,6 +394,11 @@ class Target:
         """Return True if the kind of board is not known, so that the stop of the default kind is written."""
         return not self._named_kind()
 
+    def _is_default(self) -> bool:
+        """Return True if nothing names a port or a kind of board, so that both are only the defaults."""
+        named = self._given.get(DEVICE) or self._file.get(DEVICE) or self._known[0] or self._is_last()
+        return not named and self.assumes_kind()
+
     def described(self) -> str:
         """Describe the port for people. If it was chosen because the last run used it, the text says so."""
         of = ", the port of the last run" if self._is_last() else ""
@@ -453,6 +458,10 @@ class Target:
         def write() -> bool:
             # Chosen again for each try, because devices may come and go meanwhile.
             device, owner = self._chosen()
+            if self._is_default():
+                from failstop.board import finder  # imported only here, because few stops need it
+
+                finder.refuse_stranger(device, self.board())
             return stop_tool.write(device, self.board(), named_by=owner)
 
         def wait_s(error: PortError) -> float:
