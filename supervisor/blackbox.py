@@ -41,7 +41,9 @@ while the robot can't move. Its start could block the supervisor for so long tha
 GIVE_UP_NS = 30_000_000_000
 """If a saver still can't be started this long after its planned time, the stop is not saved. The rings cover about a
 minute. After this time, they hold less than half a minute from before the stop."""
-FINISH_S = 1.0
+FINISH_S = 4.0
+"""How long the end of the service waits for all savers, in seconds. On a slow computer with an SD card, a saver may
+need more than a second. systemd allows TimeoutStopSec for the whole end."""
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
 
@@ -180,8 +182,8 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Start the savers that still wait, up to MOST_SAVERS, and then wait at most FINISH_S for all of them. Called
-        at the end of the service, after the last burst."""
+        """Start the savers that still wait, up to MOST_SAVERS, and then wait at most FINISH_S for all of them. Logs
+        each that has not ended by then. Called at the end of the service, after the last burst."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:
@@ -190,6 +192,7 @@ class BlackBox:
         until_ns = monotonic_ns() + round(FINISH_S * 1e9)
         for pid in self._savers:
             self._hasten(pid)
+        for pid in self._savers:
             try:
                 life = Lifeline(pid)
             except OSError:
@@ -197,4 +200,6 @@ class BlackBox:
             life.wait(max(0, until_ns - monotonic_ns()) * 1e-9)
             life.close()
         self._reap()
+        for _ in self._savers:  # systemd's stop tool kills them next
+            self._not_saved("the service ended before it was written")
         self._events.flush()

@@ -196,7 +196,8 @@ def test_a_stop_that_gets_no_file_gets_a_word(scene: Scene) -> None:
     for epoch in range(30, 32):
         latched(scene, epoch)
     scene.supervisor.blackbox.finish()
-    assert scene.said() == [lost("the service ended while earlier stops were being saved", TOO_OFTEN)] * 2
+    waiting = lost("the service ended while earlier stops were being saved", TOO_OFTEN)
+    assert scene.said() == [waiting] * 2 + [lost("the service ended before it was written")] * MOST_SAVERS
     assert len(scene.born) == MOST_SAVERS
 
 
@@ -336,6 +337,8 @@ def test_the_end_of_the_service_does_not_wait_for_a_saver_that_hangs(scene: Scen
         latched(scene, epoch)
     scene.supervisor.blackbox.finish()
     assert scene.now_ns == T0 + round(FINISH_S * 1e9), "for all of them together"
+    assert list(map(hastened, scene.born)) == [True, True]
+    assert scene.said() == [lost("the service ended before it was written")] * 2
     for saver in scene.born:
         ends(scene, saver)
     assert scene.said() == [SAVED] * 2

@@ -23,6 +23,7 @@ from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.setup import ports
+from failstop.supervisor import blackbox, main
 from failstop.supervisor.run import GROUP
 from tests.systemd.units import OLDEST, SINCE, SYSTEMD, analyze, needs_analyze, settings
 
@@ -221,6 +222,7 @@ def test_commands_are_run_without_a_shell_and_stop_before_systemd_loses_patience
 
 def test_timeouts_leave_room_for_the_stop_tool() -> None:
     assert float(UNIT["TimeoutStopSec"]) >= stop.END_SERVICE_S + 2
+    assert float(UNIT["TimeoutStopSec"]) > main.END_S * len(PROCESSES) + main.HEAR_NS / 1e9 + blackbox.FINISH_S
     assert stop.REST_S < stop.END_SERVICE_S / 2
     starts = float(UNIT["StartLimitIntervalSec"]) / stop.END_SERVICE_S + 1
     assert starts < int(UNIT["StartLimitBurst"]) == 5, "an absent board is no crash loop"
