@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
-from failstop.files import durable, root
+from failstop.files import durable, place, root
 from failstop.policy.setting import SettingError, shortened, shown
 from failstop.policy.settings import Settings, is_setting
 from failstop.version import renewed
@@ -30,10 +31,10 @@ def installed(name: str) -> str:
 
 
 def chosen(name: str, path: str | None) -> str | None:
-    """The settings file to use: `path` if given, else the installed file of this instance. Without `path`, None if this
-    user can't read the installed file."""
+    """The settings file to use: `path` if given, else the installed file of this instance. Without `path`, None if no
+    file is installed. This user may not be able to read the file."""
     default = installed(name)
-    return path or (default if os.access(default, os.R_OK) else None)
+    return path or (default if os.path.exists(default) else None)
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
@@ -54,6 +55,13 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
         return Settings(changed)
     except SettingError as error:
         raise SettingError(f"{path}: {misplaced(path, changed, is_setting) or error}" if path else str(error)) from None
+
+
+def unreadable(path: str, user: str) -> str:
+    """Say that this user can't read a settings file, and what to do."""
+    import shlex  # imported only here, so that a stop does not wait for it
+
+    return f"configuration {path} can't be read by {user}: sudo chmod 644 {shlex.quote(path)}"
 
 
 def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:
@@ -89,6 +97,8 @@ def read(path: str | None) -> dict[str, object]:
     except SettingError as error:
         raise SettingError(f"{path}: {error}") from None
     except OSError as error:
+        if error.errno == errno.EACCES:
+            raise SettingError(unreadable(path, place.user(os.geteuid()))) from None
         raise SettingError(f"configuration {path}: {error.strerror}: check the path") from None
     except RecursionError:
         problem = "it is nested too deeply"

@@ -133,8 +133,8 @@ class Look:
             return self.device_path, "--device"
         if self.state:
             return self.state.device.path, "from the running service"
-        path, found, _ = self.settings
-        return found.text("device.path"), path or "the default"
+        path, found, problem = self.settings
+        return found.text("device.path"), "the default" if problem else path or "the default"
 
     @cached_property
     def node(self) -> Node | None:

@@ -34,6 +34,8 @@ REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesk
 def settings(look: Look) -> list[Finding]:
     """Check the settings file, and whether the running service uses other settings than those in it."""
     path, _, _ = look.settings
+    if path and (found := _unreadable(look, path)):
+        return found
     if problem := _refused(look):
         text = f"{problem}; the service won't start until this is fixed"
         return fail(text, f"failstop config --check {shlex.quote(path)}", "check the file again after you fix it")
@@ -46,6 +48,20 @@ def settings(look: Look) -> list[Finding]:
         text = f"{look.name!r} runs with other settings than those in {path}: {named}"
         return warn(text, "", "restart the service to use the file's; that stops the wheels")
     return ok(path or "no file: every setting has its default")
+
+
+def _unreadable(look: Look, path: str) -> list[Finding]:
+    """Check whether the service's user and this user can read the settings file. Empty if both can."""
+    system, path = look.system, os.path.abspath(path)
+    by_unit = look.unit and not look.state
+    uid = system.account(UNIT_USER) if by_unit else system.uid(f"/proc/{look.pid}")
+    if uid >= 0 and not system.readable(path, uid):
+        user = UNIT_USER if by_unit else system.owner(f"/proc/{look.pid}")
+        text = f"{path} can't be read by {user}, so the service won't start"
+        return fail(text, f"sudo chmod 644 {shlex.quote(path)}")
+    if not system.readable(path, system.uid("/proc/self")):
+        return skip(f"this user can't read {path}, so its settings were not checked", f"sudo failstop {look.again()}")
+    return []
 
 
 def _refused(look: Look) -> str:

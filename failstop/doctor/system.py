@@ -182,12 +182,24 @@ class System:
             return False
         if uid == os.geteuid():
             return os.access(self.path(path), os.W_OK | os.X_OK)
+        return self._may(found, uid, 0o3)
+
+    def readable(self, path: str, uid: int) -> bool:
+        """True if a user may read a file. Also True if the file does not exist."""
+        found = _tried(lambda: os.stat(self.path(path)))
+        if not found or uid == os.geteuid():
+            return not os.path.exists(self.path(path)) or os.access(self.path(path), os.R_OK)
+        return self._may(found, uid, 0o4)
+
+    @staticmethod
+    def _may(found: os.stat_result, uid: int, bits: int) -> bool:
+        """True if the mode of a file lets a user do all of `bits` (4: read, 2: write, 1: search)."""
         groups: list[int] = []
         with contextlib.suppress(KeyError):
             account = pwd.getpwuid(uid)
             groups = os.getgrouplist(account.pw_name, account.pw_gid)
         shift = 6 if uid == found.st_uid else 3 if found.st_gid in groups else 0
-        return not uid or found.st_mode >> shift & 0o3 == 0o3
+        return not uid or found.st_mode >> shift & bits == bits
 
     def account(self, name: str) -> int:
         """The uid of the user with this name. -1 if there is none."""

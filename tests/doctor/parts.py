@@ -31,7 +31,14 @@ UNIT |= {"Result": "success", "MainPID": "100", "NRestarts": "0"}
 TICKS = (True, [20_000] * 500)
 FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
 KERNEL: dict[str, Any] = {"room": 1 << 30, "early_news": True, "ticks": TICKS, "contained": False}
-KERNEL |= {"services": [], "ports": [], "no_room": "", "writable": True, "environ": {"STATE_DIRECTORY": "/state"}}
+KERNEL |= {
+    "services": [],
+    "ports": [],
+    "no_room": "",
+    "writable": True,
+    "readable": True,
+    "environ": {"STATE_DIRECTORY": "/state"},
+}
 KERNEL |= {"account": 998, "refused": "", "portless": []}
 """Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}

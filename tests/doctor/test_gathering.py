@@ -81,6 +81,10 @@ def test_who_may_write_a_folder_and_what_a_process_was_started_with(tmp_path: Pa
     assert system.writable("/state", other)
     write(tmp_path, "/file", "")
     assert [system.writable(path, os.geteuid()) for path in ("/nothing", "/file")] == [False, False]
+    for mode, found in ((0o640, False), (0o644, True)):
+        (tmp_path / "file").chmod(mode)
+        assert [system.readable("/file", uid) for uid in (os.geteuid(), 0, other)] == [True, True, found]
+    assert system.readable("/nothing", other)
     write(tmp_path, "/proc/12/environ", "HOME=/h\0STATE_DIRECTORY=/s=t\0")
     assert system.environ("12") == {"HOME": "/h", "STATE_DIRECTORY": "/s=t"}
     assert system.environ("13") is None

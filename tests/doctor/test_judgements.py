@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from failstop import config
 from failstop.api.snapshot import Ages, Client, Scale, Starved
 from failstop.board.finder import Device
 from failstop.board.kinds import board_of
@@ -16,6 +21,7 @@ from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.service import ALONE
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
+from failstop.files import durable, place
 from failstop.policy import causes
 from failstop.policy.scale import capped
 from failstop.policy.settings import Settings
@@ -116,6 +122,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         look(settings=("x.toml", Settings({"board.kind": "feetech", "limits.vx_mps": 0.5}), "")),
         FAIL,
         "lower [limits], or see board.per_rps; the service won't start until this is fixed",
+    ),
+    (
+        "settings",
+        look(settings=("/x.toml", Settings(), "Permission denied"), readable=False, service=NOBODY),
+        FAIL,
+        "/x.toml can't be read by failstop, so the service won't start",
     ),
     (
         "settings",
@@ -578,6 +590,31 @@ def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> 
     [found] = [finding for name, finding in examine(given) if name == "settings"]
     assert found.level == OK
     assert found.text.startswith(says)
+
+
+def test_a_file_that_only_the_service_can_read_is_not_judged() -> None:
+    given = look(settings=("/x.toml", Settings(), "Permission denied"), service=NOBODY)
+    given.system.readable = lambda path, uid: uid == given.system.account("failstop")  # type: ignore[method-assign]
+    [found] = [finding for name, finding in examine(given) if name == "settings"]
+    assert (found.level, found.text) == (SKIP, "this user can't read /x.toml, so its settings were not checked")
+    assert found.fix == "sudo failstop doctor"
+
+
+def test_an_installed_file_that_can_not_be_read_is_not_taken_for_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "failstop.toml"
+    file.write_text("")
+    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    monkeypatch.setattr(config, "installed", lambda _: str(file))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(durable, "open_regular", Mock(side_effect=refused))
+    given = Look()
+    vars(given)["service"] = NOBODY
+    path, _, problem = given.settings
+    who = place.user(os.geteuid())
+    assert (path, problem) == (str(file), f"configuration {file} can't be read by {who}: sudo chmod 644 {file}")
+    assert given.device == ("/dev/ttyACM0", "the default")
 
 
 def test_a_speed_that_the_service_caps_is_no_setting_of_its_own() -> None:

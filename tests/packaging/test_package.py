@@ -86,10 +86,16 @@ def test_the_board_s_name_by_the_rule_is_what_new_settings_say(files: dict[str, 
 
 
 @pytest.mark.starts
-def test_the_robot_that_does_not_start_is_named_with_its_own_file(files: dict[str, str], tmp_path: Path) -> None:
-    """And the others are started."""
+@pytest.mark.parametrize("right", [True, False])
+def test_the_robot_that_does_not_start_is_named_with_its_own_file(
+    files: dict[str, str], tmp_path: Path, right: bool
+) -> None:
+    """And the others are started. `right`: the service's user can read its settings file, which is right."""
     [start] = re.findall(r"^start\(\) \{\n.*?^\}\n", files["DEBIAN/postinst"], re.MULTILINE | re.DOTALL)
-    for name, refuses in (("deb-systemd-invoke", "failstop@front.service"), ("failstop", "")):
+    for name, refuses in (
+        ("deb-systemd-invoke", "failstop@front.service"),
+        ("runuser", "" if right else "failstop"),
+    ):
         program = tmp_path / name
         program.write_text(f'#!/bin/sh\necho "{name} $*" >>{tmp_path}/calls\n[ "$2" != "{refuses}" ]\n')
         program.chmod(0o755)
@@ -100,13 +106,17 @@ def test_the_robot_that_does_not_start_is_named_with_its_own_file(files: dict[st
     script = f"set -e\nfailstop={tmp_path}/failstop\nsettings=/etc/failstop/failstop.toml\n{start}start {tmp_path}\n"
     environ = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
     done = subprocess.run(["sh", "-c", script], env=environ, capture_output=True, text=True, check=True)
-    assert done.stderr == (
-        "failstop@front does not run yet: is the board plugged in, at the device.path of /etc/failstop/front.toml?\n"
+    file = "/etc/failstop/front.toml"
+    why = (
+        f": is the board plugged in, at the device.path of {file}?"
+        if right
+        else f", because of {file}: see the line above"
     )
+    assert done.stderr == f"failstop@front does not run yet{why}\n"
     assert (tmp_path / "calls").read_text().splitlines() == [
         "deb-systemd-invoke start failstop.service",
         "deb-systemd-invoke start failstop@front.service",
-        "failstop config --check /etc/failstop/front.toml",
+        f"runuser -u failstop -- {tmp_path}/failstop config --check {file}",
         "deb-systemd-invoke start failstop@rear.service",
     ]
 

@@ -164,7 +164,7 @@ def test_without_a_board_with_wrong_settings_and_without_systemd_it_says_so(plac
     place.box.path(SETTINGS).write_text(refused)
     said = place.box.run(*CONFIGURES, timeout_s=90).stderr
     assert "gate.period" in said
-    assert "failstop does not run yet" in said
+    assert f"failstop does not run yet, because of {SETTINGS}" in said
     assert place.settings() == refused
     hidden = f"mount -t tmpfs tmpfs /run/systemd && {' '.join(CONFIGURES)}"
     said = place.box.run("unshare", "--mount", "sh", "-c", hidden, timeout_s=90).stderr
