@@ -121,6 +121,26 @@ def test_the_robot_that_does_not_start_is_named_with_its_own_file(
     ]
 
 
+@pytest.mark.parametrize(("why", "failed"), [("remove", "failstop@front.service"), ("remove", ""), ("upgrade", "")])
+def test_a_stop_that_is_not_proven_is_named_when_nothing_goes_on_trying(
+    files: dict[str, str], tmp_path: Path, why: str, failed: str
+) -> None:
+    [block] = re.findall(r"\Aif \[ -d /run/systemd/system \].*?^fi\n", files["DEBIAN/prerm"].partition("set -e\n\n")[2],
+                         re.MULTILINE | re.DOTALL)  # fmt: skip
+    program = tmp_path / "systemctl"
+    lists = f'case "$*" in *state=failed*) echo "{failed} loaded failed failed failstop";; esac\n' if failed else ""
+    program.write_text(f'#!/bin/sh\necho "$*" >>{tmp_path}/calls\n{lists}')
+    program.chmod(0o755)
+    (tmp_path / "systemd/system").mkdir(parents=True)
+    script = f"set -e\n{block.replace('/run/', f'{tmp_path}/')}"
+    environ = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["sh", "-c", script, "sh", why], env=environ, capture_output=True, text=True, check=True)
+    told = f"failstop: the last stop of {failed} is not proven: if a wheel turns, use the POWER SWITCH\n"
+    assert done.stderr == (told if failed else "")
+    calls = (tmp_path / "calls").read_text().splitlines()
+    assert calls[-1].startswith("stop failstop-late.service"), "after they have been looked at"
+
+
 def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:
     assert "/opt/failstop/install.json" in files["DEBIAN/preinst"]
     assert "sudo /usr/local/bin/failstop uninstall" in files["DEBIAN/preinst"]
