@@ -89,7 +89,7 @@ class Joint:
 
     def forget(self) -> None:
         """Mark the position as unknown, so that it is read again. Call this after the joint was stopped or released
-        during a move."""
+        during a move, and when its servo has fallen silent."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None

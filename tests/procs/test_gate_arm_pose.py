@@ -19,7 +19,7 @@ from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
-from .arm_moves import follow, sent
+from .arm_moves import FOLLOW, JOG, follow, renew, sent
 
 
 @pytest.mark.parametrize("fault", ["blocked", "silent", "late"])
@@ -106,6 +106,22 @@ def test_a_joint_moved_by_hand_while_motion_was_enabled_is_read_before_it_moves(
     scene.execute({1: 0.5}, over_s=2.0)
     scene.run(1.0)
     assert sent(scene, 1)[0][1] == pytest.approx(300, abs=10)
+
+
+def test_a_joint_that_sagged_while_its_servo_was_silent_is_read_before_a_held_key_moves_it(scene: Scene) -> None:
+    """Its plug is loose, and makes contact again while somebody holds the key."""
+    scene.execute({1: 0.5}, over_s=1.0)
+    assert scene.finish() == (records.DONE, "arm is there")
+    scene.servos.change(1, scene.clock(), silent=True, position=300.0)
+    scene.run(10.0)
+    assert scene.state()["silent"] == [1]
+    before = len(sent(scene, 1))
+    renew(scene, 10, JOG, {1: 0.3})
+    scene.servos.change(1, scene.clock(), silent=False)
+    renew(scene, 100, JOG, {1: 0.3})
+    moves = [position for _, position in sent(scene, 1)[before:]]
+    assert moves[0] == pytest.approx(300, abs=10)
+    assert moves[-1] > 310
 
 
 def test_an_enable_goes_before_a_mere_way_to_the_pose_and_after_another_enable(scene: Scene) -> None:
@@ -245,7 +261,6 @@ def test_a_way_that_was_asked_for_before_something_else_does_not_take_its_place(
     assert len(scene.moves) == moves
 
 
-FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
 VERBS = (records.ARM_DRIVE, records.ARM_TUCK, records.ARM_HOLD, records.ARM_RELEASE, records.ARM_READ)
 ANGLES = (0.0, 0.01, 0.3, -0.3, 1.0, 3.0, 1e9, -1e300, inf, nan)
 TIMES_S = (0.0, 0.001, 0.05, 0.5, 5.0, 599.0, 601.0, -1.0, nan)

@@ -170,6 +170,16 @@ def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Ben
     assert joint.unpaired is None, "it may be the value of another question"
 
 
+def test_where_a_servo_stands_and_its_torque_are_unknown_once_it_is_silent(bench: Bench) -> None:
+    """Its plug may be loose, and the joint may sag without torque."""
+    joint = bench.joints[0]
+    joint.known = joint.loaded = True
+    bench.ask(joint)
+    for misses in range(1, MOST_MISSES + 2):
+        assert (joint.known, joint.loaded) == ((True, True) if misses <= MOST_MISSES else (False, None))
+        bench.ask(joint)
+
+
 @pytest.mark.parametrize("on", [False, True])
 def test_torque_is_the_only_answer_that_may_be_0_and_says_nothing_of_the_cable(bench: Bench, on: bool) -> None:
     joint = bench.joints[0]

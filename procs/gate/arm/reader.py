@@ -146,4 +146,6 @@ class ServoReader:
         joint.misses = min(joint.misses + 1, MOST_MISSES)
         joint.unpaired = None
         if joint.silent:
-            joint.loaded = None  # the servo may have lost its power, and with it its torque
+            # The servo may have lost its power, and with it its torque, so the joint may have sagged.
+            joint.forget()
+            joint.loaded = None
