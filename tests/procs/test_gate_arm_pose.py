@@ -233,6 +233,19 @@ def test_a_stick_held_through_a_stop_and_a_reset_turns_no_joint_until_let_go_of(
     assert scene.at(2) > stood + 10
 
 
+@pytest.mark.parametrize("client", [0, 1], ids=["of the one that enables", "of another"])
+def test_an_enable_ends_a_stream_of_goals_that_goes_on(scene: Scene, client: int) -> None:
+    """The stream must pause before it counts again, so it can't take the arm from its way to the drive pose."""
+    follow(scene, 0.5, 0.3)
+    scene.ask_for(records.ENABLE, client)
+    follow(scene, 0.1, -0.3)
+    assert scene.state()["refused"] == "the goals before it were ended: pause first"
+    for _ in range(100):
+        if scene.answered(client)[0] == records.UNDER_WAY:
+            follow(scene, 0.1, -0.3)
+    assert scene.answered(client) == (records.DONE, "motion enabled")
+
+
 LATER = "a later request replaced it: ask again"
 DATED = [
     *((verb, None, "before the last stop") for verb in (records.ARM_DRIVE, records.ARM_MOVE)),

@@ -171,10 +171,16 @@ class ArmCore:
         """Forget all goals, like drop(). The caller must always write a stop, because a servo may still complete an
         earlier move. The client of a dropped stream must pause before its goals count again, unless its session is
         `but`. Servos that release() has not switched off yet keep their torque."""
-        if self._goal and self._goal.session != but:
-            self._ended[self._goal.session] = self._goal.t_ns
+        self.end_goals(but)
         self.letting_go.clear()
         self.drop(why, cause)
+
+    def end_goals(self, but: int | None = None) -> None:
+        """Forget the goal of a stream. Its client must pause before its goals count again, unless its session is
+        `but`."""
+        if self._goal and self._goal.session != but:
+            self._ended[self._goal.session] = self._goal.t_ns
+        self._goal = None
 
     def _end_stream(self) -> None:
         if self._bus.holds_by_goal:

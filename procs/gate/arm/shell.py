@@ -255,6 +255,7 @@ class Arm:
             return refused(f"{waiter.request.who} is enabling motion")
         reply = None
         if trajectory := self.core.pose(goals.DRIVE, SERVICE, request.who):
+            self.core.end_goals()  # so that the stream's next goal does not end this trajectory
             reply = self._execute(Waiter(request, trajectory, enables=True), WHEELS_ENABLED, now_ns)
         elif self._beside:
             return None
