@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     Values = TypeVarTuple("Values")
     Rows = Sequence[tuple[float, Sequence[float]]]
 
-MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
+MOTION, WRITE_BURST, OTHER, ARM, DROP_ARM = range(1, 6)
 """Kinds of frames from the gate. MOTION is a motor frame. If several motor frames wait, only the newest one is sent.
 WRITE_BURST tells the port owner to write the stop burst now. OTHER is any frame that doesn't move anything. ARM is a
-frame for the arm's servos. All waiting OTHER and ARM frames are sent, in order. But the port owner refuses a MOTION or
-ARM frame if the frame is from before the last stop (its epoch is over), or if the gate has been silent for longer than
-its lease."""
+frame for the arm's servos. All waiting OTHER and ARM frames are sent, in order. DROP_ARM tells the port owner to drop
+the waiting ARM frames. The port owner refuses a MOTION or ARM frame if the frame is from before the last stop (its
+epoch is over), or if the gate has been silent for longer than its lease."""
 ASKED_BYTES = 180
 """The longest reason of a stop request, in bytes of UTF-8. It is limited so that the reason and the name of the program
 that asks fit into one record."""
@@ -268,7 +268,7 @@ _DOUBLE = struct.Struct("<d")
 
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
 """A frame in the gate's ring: epoch, kind, bytes. MOTION, OTHER and ARM contain a frame for the board; WRITE_BURST
-contains nothing."""
+and DROP_ARM contain nothing."""
 WROTE: Payload[int, tuple[float, ...]] = Payload(
     "<B",
     Tail(

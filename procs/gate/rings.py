@@ -29,6 +29,10 @@ class Frames:
     def stop(self, now_ns: int) -> None:
         self.put(records.WRITE_BURST, b"", now_ns)
 
+    def drop_arm(self, now_ns: int) -> None:
+        """Drop the frames for the arm that the port owner has not written yet. No stop is written."""
+        self.put(records.DROP_ARM, b"", now_ns)
+
 
 class GateBox:
     """The gate's part of the black box: one record per tick, with the newest command and the resulting speeds.

@@ -274,6 +274,8 @@ class PortOwner:
                 self._gate_stop()
             elif kind == records.ARM:
                 self.bus.waiting.append((body, epoch, frame_ns))
+            elif kind == records.DROP_ARM:
+                self.bus.waiting.clear()
             else:
                 self._others.append(body)
                 self._forward_others()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +24,7 @@ JOINTS = {f"joints.{name}.servo": servo for name, servo in IDS.items()} | {"arm.
 PER_RAD = 4096 / 6.283185
 SPEED = 0.6
 HOLDS_NS = 60 * MS
+AHEAD = (0.1, 0.0, 0.0)
 
 
 class Kiwi:
@@ -133,6 +135,51 @@ def test_wheels_and_arm_move_at_once_and_stop_at_once(kiwi: Kiwi, process: str) 
     stops = [event.executed_ns for event in kiwi.simulated.board.events() if event.is_stop]
     assert stops[0] - fault_ns < 5 * MS
     assert not any(kiwi.bus.wheels)
+
+
+def stale(kiwi: Kiwi) -> None:
+    kiwi.follow()
+
+
+def held(kiwi: Kiwi) -> None:
+    kiwi.follow()
+    kiwi.simulated.drive(0.3, AHEAD)
+    kiwi.arm.hold()
+
+
+def other_joints(kiwi: Kiwi) -> None:
+    for name in ("pan", "lift"):
+        kiwi.arm.jog({name: 0.3})
+        kiwi.simulated.drive(0.3, AHEAD)
+
+
+def gone(kiwi: Kiwi) -> None:
+    def policy(failstop: Any) -> None:
+        with failstop.Robot(client="policy") as robot:
+            robot.arm.jog({"pan": 0.3})
+            kiwi.simulated.time.sleep(0.3)
+
+    kiwi.simulated.program("policy", policy)
+
+
+@pytest.mark.parametrize("end", [stale, held, other_joints, gone])
+def test_the_wheels_drive_on_when_the_arm_alone_ends(kiwi: Kiwi, end: Callable[[Kiwi], None]) -> None:
+    """No zero for the wheels, from which they would start again without a ramp; and the arm stands."""
+    kiwi.simulated.wait(1.0)
+    kiwi.simulated.enable()
+    kiwi.simulated.drive(1.0, AHEAD)
+    assert any(kiwi.bus.wheels)
+    kiwi.simulated.board.events()
+    aimed = len(kiwi.bus.aimed)
+    end(kiwi)
+    kiwi.simulated.drive(1.5, AHEAD)
+    assert len(kiwi.bus.aimed) > aimed, "the arm has moved"
+    assert not kiwi.arm.state.mode
+    assert [event for event in kiwi.simulated.board.events() if event.is_stop] == []
+    at = kiwi.at(POSITION_AT)
+    kiwi.simulated.drive(0.3, AHEAD)
+    assert kiwi.at(POSITION_AT) == at
+    assert kiwi.torques() == {1}
 
 
 @pytest.mark.slow

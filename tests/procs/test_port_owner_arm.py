@@ -139,6 +139,15 @@ def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: 
     assert scene.turn(5 * MS) == b""
 
 
+def test_the_gate_can_drop_the_frames_that_wait_without_a_stop(scene: Scene) -> None:
+    settle(scene)
+    scene.put(TWO, kind=records.ARM)
+    assert scene.forward(TWO, kind=records.ARM) == TWO
+    scene.put(b"", kind=records.DROP_ARM)
+    assert scene.forward(MOVE, kind=records.ARM, elapsed_ns=5 * MS) == MOVE, "those after it are written"
+    assert scene.turn(5 * MS) == b""
+
+
 def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE

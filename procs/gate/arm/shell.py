@@ -56,6 +56,8 @@ class Arm:
         settings = context.settings
         self.core = ArmCore(settings, bus, now_ns)
         self._beside = bus.beside_wheels
+        self._stops = bool(bus.stops(settings.servos()))
+        """True if the stop burst stops the servos too."""
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
@@ -86,9 +88,17 @@ class Arm:
     def step(self, now_ns: int) -> None:
         frame, hold = self.core.step(now_ns)
         if hold:
-            self._frames.stop(now_ns)
+            self._halt(now_ns)
         if frame:
             self._frames.put(records.ARM, frame, now_ns)
+
+    def _halt(self, now_ns: int) -> None:
+        """End the arm's movement. The wheels may be turning if the board can move arm and wheels together. So if a
+        burst would stop only the wheels, write none: each servo stops at its last goal."""
+        if self._stops or not self._beside:
+            self._frames.stop(now_ns)
+        else:
+            self._frames.drop_arm(now_ns)
 
     def finish_turn(self, closed: str, now_ns: int) -> None:
         """Tuck the arm if nobody has used it for a while, and report what has changed. Call it at the end of each
@@ -113,13 +123,13 @@ class Arm:
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
-            self._frames.stop(now_ns)
+            self._halt(now_ns)
         elif self._waiter and self._waiter.request.session == session:
             self._give_up("given up: its client has gone", now_ns)
 
     def _give_up(self, why: str, now_ns: int) -> None:
         if self.core.drop(why):
-            self._frames.stop(now_ns)
+            self._halt(now_ns)
 
     def goal(
         self, slot: Slot, t_ns: int, mode: int, values: dict[int, float], closed: str, now_ns: int
@@ -166,7 +176,7 @@ class Arm:
     def hold(self, request: Request, now_ns: int) -> Reply:
         """Carry out a client's request to stop the arm where it is."""
         self.core.stop(f"held by {request.who}", but=request.session)
-        self._frames.stop(now_ns)
+        self._halt(now_ns)
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
@@ -175,7 +185,7 @@ class Arm:
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
-            self._frames.stop(now_ns)
+            self._halt(now_ns)
             self.core.release(now_ns)
             return Reply(records.DONE, "arm released: its torque is off")
         if request.verb == records.ARM_READ:
@@ -211,7 +221,7 @@ class Arm:
     def _execute(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
         """Begin a trajectory for a waiting client. `why`: the text for the client that moved the arm before."""
         if self.core.execute(waiter.trajectory, now_ns, why):
-            self._frames.stop(now_ns)
+            self._halt(now_ns)
         self.answer_waiter(now_ns)
         self._waiter = waiter
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
