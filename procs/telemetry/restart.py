@@ -23,7 +23,8 @@ MISSING = 0.6
 """A pause in the reports counts as a restart only if at least this share of the reports that were due in the pause
 never comes."""
 FASTER = 1.5
-"""Wheels can't turn a counter faster than this many times the fastest change that was seen before."""
+"""Wheels can't turn a counter faster than this many times the fastest change that was seen before, or than this many
+times the highest speed that is allowed."""
 FADES = 0.98
 """At each report, the fastest change that was seen is multiplied by this, so that it is forgotten with time."""
 LEAST_FALL = 10.0
@@ -39,10 +40,12 @@ class RestartWatch:
     """Looks for signs of a restart. Each method that gets a report returns the sign that it found as text, or an empty
     text. After a sign, everything is forgotten, so each restart is found only once."""
 
-    def __init__(self, silent_ns: int) -> None:
+    def __init__(self, silent_ns: int, fastest: float = 0.0) -> None:
         """`silent_ns`: how long the reports must pause, in ns, to be a sign of a restart. 0 if the board sends no
-        regular reports."""
+        regular reports. `fastest`: how far a wheel's counter may go in a second at the highest speed that is allowed,
+        in the counter's unit. 0 if that is not known."""
         self._silent_ns = silent_ns
+        self._fastest = fastest * 1e-9
         self.forget()
 
     def forget(self) -> None:
@@ -115,7 +118,9 @@ class RestartWatch:
         passed_ns = t_ns - before[0]
         moved = max((abs(new - old) for new, old in zip(positions, before[1], strict=True)), default=0.0)
         most, furthest = FASTER * self._rate * passed_ns + CLOSE, max(map(abs, positions), default=0.0)
-        if furthest <= most and moved > max(most, LEAST_FALL):
+        # A robot that starts to drive goes much farther than in the time before, so ask for a fall that no wheel can
+        # make. Otherwise it would seem to restart whenever it starts close to zero and drives over it.
+        if furthest <= most and moved > max(most, LEAST_FALL, FASTER * self._fastest * passed_ns):
             return self._found(COUNTERS)
         self._continues |= moved <= most < furthest
         self._rate = max(FADES * self._rate, moved / passed_ns)

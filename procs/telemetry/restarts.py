@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from failstop.board import interface
-from failstop.policy import causes
+from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.procs.context import Context
 from failstop.procs.telemetry.restart import RestartWatch
@@ -20,7 +20,8 @@ class Restarts:
     ) -> None:
         """`enabled`: returns True while motion is enabled. `note`: logs an event. `stop`: makes the port owner stop."""
         board = context.board
-        self._watch = RestartWatch(board.silent_ns)
+        fastest_rps = kinematics.max_wheel_rps(context.settings)
+        self._watch = RestartWatch(board.silent_ns, fastest_rps * board.reports.position_per_turn)
         self._regular = interface.HEARD_IMU if board.observed_by == interface.BY_IMU else interface.HEARD_WHEELS
         self._enabled, self._note, self._stop = enabled, note, stop
         self._word = context.own.word("restarts")

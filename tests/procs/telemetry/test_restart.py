@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from failstop.procs.telemetry.restart import COUNTERS, OBEYS_ZERO, RestartWatch
 from tests.support.amounts import amount
@@ -63,7 +66,7 @@ def test_a_short_pause_or_one_before_the_rate_is_known_says_nothing() -> None:
     assert signs(RestartWatch(0), 10 * MS) == []
 
 
-def drives(watch: RestartWatch, positions: list[tuple[float, ...]], every_ms: int = 100) -> list[str]:
+def drives(watch: RestartWatch, positions: Sequence[tuple[float, ...]], every_ms: int = 100) -> list[str]:
     return [watch.counted(each, at * every_ms * MS) for at, each in enumerate(positions, 1)]
 
 
@@ -86,6 +89,53 @@ def test_ordinary_moves_are_none() -> None:
             at = [way + new for way, new in zip(at, speed, strict=True)]
             found = watch.counted(tuple(at), step * 50 * MS)
             assert not found or max(map(abs, at)) <= 2.0, "a fall onto zero itself looks the same"
+
+
+def over_zero(start: float, fastest: float, acceleration: float, every_s: float, off_s: float) -> list[float]:
+    """A wheel rests for 6 s at `start`, and then drives backward by a ramp that begins `off_s` after a report."""
+    found = [start] * round(6.0 / every_s)
+    ramp_s, t_s = fastest / acceleration, every_s - off_s
+    while found[-1] > -start:
+        at_ramp_s = min(t_s, ramp_s)
+        found.append(start - acceleration * at_ramp_s**2 / 2 - fastest * (t_s - at_ramp_s))
+        t_s += every_s
+    return found
+
+
+@given(
+    start=st.floats(1.0, 2000.0),
+    fastest=st.floats(20.0, 5000.0),
+    acceleration=st.floats(100.0, 50_000.0),
+    every_ms=st.sampled_from([20, 50, 100, 200]),
+    off=st.floats(0.0, 0.99),
+)
+@example(start=50.0, fastest=500.0, acceleration=1250.0, every_ms=100, off=0.0)
+def test_a_robot_that_starts_from_rest_and_drives_over_zero_has_not_restarted(
+    start: float, fastest: float, acceleration: float, every_ms: int, off: float
+) -> None:
+    """However hard it accelerates: in one report it goes many times as far as in the one before."""
+    way = over_zero(start, fastest, acceleration, every_ms / 1000, off * every_ms / 1000)
+    positions = [(float(round(at)), float(round(0.8 * at))) for at in way]
+    assert not any(drives(RestartWatch(0, fastest), positions, every_ms))
+
+
+@given(
+    fastest=st.floats(200.0, 5000.0),
+    share=st.floats(0.2, 1.0),
+    every_ms=st.sampled_from([20, 50, 100, 200]),
+    rests=st.booleans(),
+    backward=st.booleans(),
+)
+def test_a_fall_that_no_wheel_can_make_is_a_restart_at_any_speed(
+    fastest: float, share: float, every_ms: int, rests: bool, backward: bool
+) -> None:
+    """From twice as far as the fastest wheel goes from report to report, driving away from zero, toward it, or not."""
+    step = share * fastest * every_ms / 1000
+    far = [4 * fastest * every_ms / 1000 + 20.0 + step * at for at in range(20)]
+    way = far[::-1] if backward else far
+    way += [way[-1]] * (20 if rests else 0)
+    found = drives(RestartWatch(0, fastest), [(at, -at) for at in [*way, 0.0]], every_ms)
+    assert found == [*[""] * len(way), COUNTERS]
 
 
 def test_zero_that_it_obeys_after_it_has_obeyed_what_drives_is_a_restart() -> None:
