@@ -162,8 +162,8 @@ DECLARED = (
         "(down)"),
     Setting("battery.stop_mv", -1, "mV", -1, 60000,
         "latch a stop when the voltage stays below this for 5 s (and at least 5 readings). The next such stop comes "
-        "only after the battery was charged, so that it was 10 % above this for a minute, or was away for 5 s. "
-        "-1: never"),
+        "only after the battery was charged, so that it was 10 % above this for a minute, or was away for 5 s "
+        "(longer if the board reports it seldom). -1: never"),
     _word("battery.log", "on", "write the battery's voltage to a file, a new one each day (UTC)", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of the battery log"),
     _word("battery.directory", "", "where the battery log is kept. Empty: the service's state directory"),

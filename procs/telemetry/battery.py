@@ -25,6 +25,9 @@ at each stop as if a charger were plugged in."""
 SWAPPED_NS = 5_000_000_000
 """If the board has reported no battery for this long, the battery may have been swapped. A charged battery of a flat
 chemistry may be below CHARGED_PERCENT."""
+SWAPPED_GAPS = 3
+"""The battery counts as swapped only after a pause that is this many times the longest of the last pauses, because some
+boards report their battery seldom."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
@@ -57,13 +60,17 @@ class LowBattery:
         self._has_stopped = False
         """True from a stop until the battery has been charged or swapped."""
         self._last_ns: int | None = None
+        self._gap_ns = 0
+        """The longest of the last pauses between two readings, in ns. At each reading it is halved, so that it is
+        forgotten with time."""
 
     def add(self, millivolts: int, t_ns: int) -> Cause | None:
         """Add a reading. Returns the cause of a stop if the voltage has just been low for long enough, otherwise
         None."""
-        if self._last_ns is not None and t_ns - self._last_ns >= SWAPPED_NS:
+        gap_ns = 0 if self._last_ns is None else t_ns - self._last_ns
+        if gap_ns >= max(SWAPPED_NS, SWAPPED_GAPS * self._gap_ns):
             self._low_since, self._high_since_ns, self._has_stopped = None, None, False
-        self._last_ns = t_ns
+        self._last_ns, self._gap_ns = t_ns, max(gap_ns, self._gap_ns // 2)
         if millivolts >= self._least_mv:
             self._low_since = None
             self._look_for_charge(millivolts, t_ns)

@@ -149,13 +149,17 @@ class Drained:
 
 
 @pytest.mark.parametrize(
-    ("every_ns", "after_ns"), [(10 * MS, 5 * S), (50 * MS, 5 * S), (1_050 * MS, 5_250 * MS), (2 * S, 8 * S)]
+    ("every_ns", "after_ns"),
+    [
+        *((10 * MS, 5 * S), (50 * MS, 5 * S), (1_050 * MS, 5_250 * MS), (2 * S, 8 * S)),
+        *((5 * S, 20 * S), (7 * S, 28 * S), (60 * S, 240 * S)),
+    ],
 )
 def test_a_battery_that_stays_low_for_5_s_and_5_readings_stops(every_ns: int, after_ns: int) -> None:
     tested = Drained()
     assert tested.stays(10_400, after_ns - 1, every_ns) == [], "a sag, as motors that start make it"
     assert tested.stays(10_500, 0, every_ns) == [], "not low, so the time begins again"
-    assert tested.stays(10_499, 60 * S, every_ns) == [(after_ns, "the battery is at 10.50 V")]
+    assert tested.stays(10_499, 60 * S + after_ns, every_ns) == [(after_ns, "the battery is at 10.50 V")]
     assert LOW_READINGS == 5
     silent = LowBattery(Settings())
     assert {silent.add(0, at * S) for at in range(20)} == {None}, "no setting asks for it"
@@ -183,17 +187,25 @@ def log(**changed: object) -> BatteryLog:
     return BatteryLog(Settings({f"battery.{key}": value for key, value in changed.items()}))
 
 
-@pytest.mark.parametrize(("away_ns", "again"), [(5 * S - 1, False), (5 * S, True)])
-def test_a_battery_that_was_away_may_have_been_swapped(away_ns: int, again: bool) -> None:
+@pytest.mark.parametrize(
+    ("every_ns", "away_ns", "again"),
+    [(S, 5 * S - 1, False), (S, 5 * S, True), (10 * S, 30 * S - 1, False), (10 * S, 30 * S, True)],
+)
+def test_a_battery_that_was_away_may_have_been_swapped(every_ns: int, away_ns: int, again: bool) -> None:
     """A charged one may be less than 10 % above the setting."""
     tested = LowBattery(Settings({"battery.stop_mv": 12_800}))
-    for second in range(6):
-        stopped = tested.add(12_700, second * S)
-    assert stopped is not None
-    back_ns = 5 * S + away_ns
-    assert [tested.add(13_300, back_ns + second * S) for second in range(70)] == [None] * 70
-    found = [tested.add(12_700, back_ns + (70 + second) * S) for second in range(6)]
-    assert (found[-1] is not None) is again
+    stops = [tested.add(12_700, number * every_ns) for number in range(7)]
+    assert any(stops)
+    back_ns = 6 * every_ns + away_ns
+    assert [tested.add(13_300, back_ns + number * every_ns) for number in range(70)] == [None] * 70
+    found = [tested.add(12_700, back_ns + (70 + number) * every_ns) for number in range(6)]
+    assert any(found) is again
+
+
+def test_reports_that_come_in_pairs_and_seldom_are_one_battery() -> None:
+    tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
+    times_ns = [at * 10 * S + late * MS for at in range(5) for late in (0, 20)]
+    assert any(tested.add(10_400, t_ns) for t_ns in times_ns)
 
 
 def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
