@@ -88,6 +88,8 @@ def gyro_differs(ratio: float, layout: str) -> str:
     Empty if the difference may come from tracks or skidding wheels, or if the robot hardly turns (see ON_A_STAND).
     `ratio`: measured divided by commanded."""
     least, most = GYRO_FITS
+    if isfinite(ratio) and ratio <= -ON_A_STAND:
+        return f"the robot turns the wrong way, as the gyro measures it: {_signs(layout)}, or the IMU is upside down"
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
     return f"{_turn(ratio)}: one of {_sizes(layout)} is not this robot's, or its wheels slip"
@@ -104,6 +106,13 @@ def gyro_remark(ratio: float, layout: str) -> str:
 
 def _turn(ratio: float) -> str:
     return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro measures it"
+
+
+def _signs(layout: str) -> str:
+    """The settings that determine in which direction the robot turns, with what may be wrong."""
+    if layout == ACKERMANN:
+        return "steering.sign or a wheels.sign is wrong"
+    return "its wheels are swapped (wheels.id_1, wheels.id_2, ...) or one of their signs is wrong (wheels.sign_1, ...)"
 
 
 def _sizes(layout: str) -> str:

@@ -110,6 +110,17 @@ def test_the_gyro_tells_a_turn_that_is_not_as_told(ratio: float) -> None:
     assert "as the gyro measures it: one of wheels.track_m, wheels.diameter_m" in said
 
 
+@pytest.mark.parametrize("ratio", [-0.2, -0.7, -1.0, -1.5])
+def test_the_gyro_tells_a_turn_the_wrong_way(ratio: float) -> None:
+    """Its sides are swapped, or the IMU is upside down."""
+    robot = Robot("rrc", body=ratio)
+    robot.drive(0.0, 1.0, DRIVE_S)
+    robot.drive(0.0, 0.0, 1.0)
+    (said,) = robot.said
+    assert said.startswith("the robot turns the wrong way, as the gyro measures it: its wheels are swapped (wheels.id")
+    assert robot.remarked == []
+
+
 def test_a_turn_that_skidding_wheels_explain_is_a_remark() -> None:
     robot = Robot("rrc", body=0.7)
     robot.drive(0.0, 1.0, DRIVE_S)
@@ -162,3 +173,5 @@ def test_differences_are_words_only_where_they_are_known() -> None:
     assert scale.wheels_differ(1.5, 60.0, holds_speed=False) == ""
     assert scale.gyro_differs(0.05, "mecanum") == scale.gyro_differs(nan, "mecanum") == ""
     assert "wheels.lever_m" in scale.gyro_differs(2.0, "omni3")
+    assert scale.gyro_differs(-0.09, "mecanum") == ""
+    assert "steering.sign or" in scale.gyro_differs(-1.0, "ackermann")
