@@ -137,6 +137,8 @@ class Telemetry:
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
+        self._pad_sample = (0,) * 6
+        """The buttons, the hat and the sticks in the gamepad's last frame."""
         self._tones = Tones(on=settings.on("buzzer.tones"))
         self._accelerometer = Accelerometer(settings)
         self._gyro = GyroBias(settings)
@@ -220,7 +222,10 @@ class Telemetry:
 
     def _inherit(self, own: Segment) -> None:
         """Continue with the charger's state, the bias and the pose of the previous telemetry process. The charger's
-        state is not kept longer, because nobody sees a charger that is plugged in or out while no service runs."""
+        state is not kept longer, because nobody sees a charger that is plugged in or out while no service runs. The
+        gamepad does not continue: it is locked, and published as locked."""
+        if own.latest_reader("pad").read():
+            self._publish_pad(monotonic_ns())
         if entry := own.latest_reader("battery").read():
             _, self._charger.state = records.BATTERY.unpack(entry[2])
         if entry := own.latest_reader("bias").read():
@@ -283,7 +288,7 @@ class Telemetry:
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
         self._publish_said()
-        self._report_pad_mode()
+        self._report_pad_mode(now_ns)
         for text, step in self._files.notes():
             self._note("disk", text, step=step)
         self.heartbeat.beat(now_ns)
@@ -357,12 +362,16 @@ class Telemetry:
             level, step = ("", "") if self._gyro.stationary else ("warning", imu.LEAVE_STANDING)
             self._note("gyro", text, level=level, step=step)
 
-    def _report_pad_mode(self) -> None:
-        """Log the gamepad's mode if it has changed."""
+    def _report_pad_mode(self, now_ns: int) -> None:
+        """Log and publish the gamepad's mode if it has changed. A stop changes it without a frame of the gamepad."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
+            self._publish_pad(now_ns)
             self._note("pad", f"gamepad mode: {mode}", {"mode": mode})
+
+    def _publish_pad(self, t_ns: int) -> None:
+        self._latest["pad"].write(records.PAD.pack(*self._pad_sample, self._pad.mode), t_ns)
 
     def _request(self, kind: int, frame: bytes = b"") -> None:
         self._rings["pad_requests"].put(records.PAD_REQUEST.pack(kind, frame))
@@ -514,7 +523,8 @@ class Telemetry:
         if news.reset:
             self._request(records.PAD_RESET)
             self._note("pad", "gamepad: MODE was held, reset requested")
-        self._latest["pad"].write(records.PAD.pack(*sample, self._pad.mode), t_ns)
+        self._pad_sample = sample
+        self._publish_pad(t_ns)
         self._box.put(box.pack_board(box.PAD_KIND, *sample, self._pad.mode), t_ns)
         if news.cause:
             text = f"{news.cause}; last frames: {self._pad.recent()}"

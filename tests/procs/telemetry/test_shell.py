@@ -167,6 +167,26 @@ def test_a_latch_ends_drive_mode_also_one_that_came_and_went_unseen(scene: Scene
     assert scene.latest("pad")[6] == 0
 
 
+@pytest.mark.parametrize("how", ["a stop", "telemetry was restarted"])
+def test_a_pad_that_is_silent_is_published_as_locked_once_it_is(scene: Scene, how: str) -> None:
+    scene.pad(MODE)
+    scene.pad(ly=127)
+    assert scene.latest("pad") == (0, 0, 0, 127, 0, 0, 1)
+    if how == "a stop":
+        scene.gate["estop"] = causes.KEY(1).pack()
+        scene.turn(elapsed_ns=20 * MS)
+    else:
+        scene.start_telemetry()
+    assert scene.latest("pad")[6] == 0
+
+
+def test_a_pad_that_was_never_heard_is_not_published(scene: Scene) -> None:
+    scene.start_telemetry()
+    scene.gate["estop"] = causes.KEY(1).pack()
+    scene.turn(elapsed_ns=20 * MS)
+    assert scene.latest("pad") == ()
+
+
 @pytest.mark.parametrize("newer", [True, False])
 def test_mode_held_for_2_s_since_the_newest_stop_requests_one_reset(scene: Scene, newer: bool) -> None:
     scene.gate["estop"] = causes.KEY(1).pack()
