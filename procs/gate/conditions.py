@@ -37,6 +37,11 @@ class ScanGate:
     def deliver(self, t_ns: int, now_ns: int) -> None:
         self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
 
+    def stand_still(self) -> None:
+        """Record that motion was disabled or stopped. It does not resume by itself, so the sensor is not reported as
+        back."""
+        self._blocks = False
+
     def silent(self, now_ns: int) -> bool:
         """Return True if the sensor is silent, so programs must not move the wheels."""
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)

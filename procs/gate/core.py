@@ -230,6 +230,7 @@ class GateCore:
         self.enabled = False
         self.enabled_ns = 0
         self.sources.clear()
+        self.scan.stand_still()
         self.velocity = REST
         self.speeds = self._kinematics.rest
 

@@ -135,6 +135,24 @@ def test_a_sensor_that_is_silent_and_back_is_told_of_once_with_its_age() -> None
     assert (gate.blocked, gate.told()) == ("cmd timeout", []), "not back because something else blocks"
 
 
+def test_a_sensor_that_is_back_before_a_later_enable_is_told_of_to_nobody() -> None:
+    """Nothing resumes then. If it is silent again, that is told of again."""
+    gate = scanning()
+    cruise(gate, 0.1)
+    fall_silent(gate)
+    gate.core.disable()
+    gate.core.notes.clear()
+    gate.tick(3600 * 1000 * MS)
+    scan(gate)
+    gate.enable()
+    gate.command(0.1)
+    gate.tick()
+    assert gate.told() == []
+    cruise(gate, 0.1)
+    fall_silent(gate)
+    assert gate.told() == ["no scan for 0.52 s, so the wheels are told to stop"]
+
+
 @pytest.mark.parametrize("ahead", [False, True])
 def test_before_the_first_scan_or_with_a_clock_that_is_ahead_nothing_moves(ahead: bool) -> None:
     """A silence as long as the uptime is told to nobody."""
