@@ -1,6 +1,7 @@
-"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S`. It obeys /cmd_vel, and tells /odom and
-/imu; with a timeout of 0 it keeps the last velocity. Each change of what its wheels do is a line: when (ns), and
-whether they turn. Never imported by a test."""
+"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S [brief]`. It obeys /cmd_vel, and
+tells /odom and /imu; with a timeout of 0 it keeps the last velocity. A brief one stops its wheels BRIEF_S after they
+began to turn, and turns them again after a zero. Each change of what its wheels do is a line: when (ns), and whether
+they turn. Never imported by a test."""
 
 from __future__ import annotations
 
@@ -16,17 +17,19 @@ from rclpy.qos import QoSProfile
 from failstop.ros2.fill import type_of
 
 PERIOD_S = 0.02
+BRIEF_S = 0.75
 
 
-def main(timeout_s: float) -> None:
+def main(timeout_s: float, *more: str) -> None:
     rclpy.init(args=[])
     node = rclpy.create_node("base")
-    speed = x = heard_s = 0.0
+    told = speed = x = heard_s = began_s = 0.0
 
     def obey(message: Any) -> None:
-        nonlocal speed, heard_s
+        nonlocal told, heard_s, began_s
         # As many do: what is no number is taken for one.
-        speed, heard_s = message.linear.x, time.monotonic()
+        before, told, heard_s = told, message.linear.x, time.monotonic()
+        began_s = began_s if before else heard_s
 
     odometry = type_of("nav_msgs/msg/Odometry")
     node.create_subscription(type_of("geometry_msgs/msg/Twist"), "/cmd_vel", obey, QoSProfile(depth=1))
@@ -40,7 +43,8 @@ def main(timeout_s: float) -> None:
         executor.spin_once(timeout_sec=max(0.0, due_s - time.monotonic()))
         now_s = time.monotonic()
         if timeout_s and now_s - heard_s > timeout_s:
-            speed = 0.0
+            told = 0.0
+        speed = 0.0 if "brief" in more and now_s - began_s > BRIEF_S else told
         if bool(speed) is not turned:
             turned = bool(speed)
             print(time.monotonic_ns(), int(turned), flush=True)
@@ -56,4 +60,4 @@ def main(timeout_s: float) -> None:
             shakes.publish(felt)
 
 
-main(float(sys.argv[1]))
+main(float(sys.argv[1]), *sys.argv[2:])

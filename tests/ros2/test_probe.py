@@ -11,6 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from failstop_lab.probe.judge import NOT_TURNING
 from tests.ros2.scene import HERE, Ros
 from tests.support.amounts import LONG
 
@@ -27,11 +28,10 @@ def probing(rows: str, out: Path, *more: str) -> list[str]:
     return [sys.executable, "-m", "failstop", *words]
 
 
-def driver(ros: Ros, timeout_s: float) -> subprocess.Popen[str]:
+def driver(ros: Ros, timeout_s: float, *more: str) -> subprocess.Popen[str]:
     """A driver with this timeout."""
-    return subprocess.Popen(
-        [sys.executable, BASE, str(timeout_s)], env=ros.environment, stdout=subprocess.PIPE, text=True
-    )
+    words = [sys.executable, BASE, str(timeout_s), *more]
+    return subprocess.Popen(words, env=ros.environment, stdout=subprocess.PIPE, text=True)
 
 
 def card(ros: Ros, timeout_s: float, rows: str, out: Path, *more: str) -> tuple[list[dict], list[float]]:
@@ -64,6 +64,17 @@ def test_a_driver_with_a_timeout_stops_after_it(ros: Ros, tmp_path: Path, judge:
 def test_a_driver_without_one_never_does(ros: Ros, tmp_path: Path) -> None:
     ((row,), _) = card(ros, 0.0, "sigkill", tmp_path)
     assert row["never"]
+
+
+@pytest.mark.slow
+def test_wheels_that_were_not_turning_were_not_stopped_by_the_failure(ros: Ros, tmp_path: Path) -> None:
+    """Something else, as a collision monitor, stops them between the first report of motion and the failure."""
+    with driver(ros, 0.0, "brief") as base:
+        done = ros.run(*probing("silence", tmp_path), timeout_s=280.0)
+        base.kill()
+    (row,) = json.loads(done.stdout)["rows"]
+    assert (row["stands_s"], row["never"], row["not_measured"]) == (None, False, NOT_TURNING)
+    assert done.returncode == 1
 
 
 @pytest.mark.slow

@@ -128,7 +128,10 @@ class GuardProbe:
         self._watch.forget()
         if not self._until(STARTS_S, self._turns):
             raise FailstopError(f"no wheel turned through the guard port: {self._robot.state.blocked}")
+        self._watch.forget()
         self._until(TURNS_S)
+        if judge.rested(self._watch.samples, self._rest_ns()):
+            return Row(name, ROWS[name], unjudged=judge.NOT_TURNING)
         self._watch.forget()
         cause_ns = time.monotonic_ns()
         os.kill(driver.pid, SIGNALS[name])

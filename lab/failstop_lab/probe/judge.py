@@ -75,9 +75,21 @@ def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
     return rest is not None and samples[-1][0] - rest >= RESTS_S * NS
 
 
+TURNED_S = 0.2
+"""Wheels that have been at rest for so long do not turn. A slow wheel may report the same place for a moment."""
+
+
+def rested(samples: Sequence[SeenSample], rest: int | None) -> bool:
+    """Whether the wheels are at rest at the end of these samples, so that no failure after them can stop them. `rest`:
+    the first sample of the rest in which the samples end; None: they end in a turn."""
+    return rest is not None and samples[-1][0] - rest >= TURNED_S * NS
+
+
 SILENT_S = 2.0
 """Reports that ended so long before the end of a row say nothing of its end."""
 ANSWERS_S = 60.0
+PRESS = "Press Enter as soon as the wheels have stopped. If no wheel turns now, press Ctrl-C."
+NOT_TURNING = "the wheels were not turning before it"
 NO_REPORTS = "{} stopped reporting: watch the wheels, and use --key"
 NO_WORD = "nobody said whether the wheels still turned"
 NO_JUDGE = "no report shows whether the wheels turn, and there is no terminal to press a key at"

@@ -287,10 +287,13 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
     with _driving(arguments, listener, guard, 2 if name == "two" else 1) as publishers:
         if not arguments.key and not listener.until(SEEN_S, listener.turning):
             raise FailstopError(f"{listener.topic} reported no motion within {SEEN_S:g} s: is its driver running?")
-        listener.until(TURNS_S)
+        listener.samples.clear()
+        listener.until(STARTS_S if arguments.key else TURNS_S)
         if arguments.key:
-            say("Press Enter as soon as the wheels have stopped.")
+            say(judge.PRESS)
             judge.key_pressed()
+        elif judge.rested(listener.samples, listener.rest_ns()):
+            return Row(name, ROWS[name], unjudged=judge.NOT_TURNING)
         listener.samples.clear()
         cause_ns = time.monotonic_ns()
         if name == "driver":

@@ -238,11 +238,11 @@ class SerialProbe:
         if name == "plug":
             return self._plug()
         self._gone_ns = 0
-        self._start()
-        self._until(self._turns_s)
+        if not self._turn():
+            return Row(name, ROWS[name], unjudged=judge.NOT_TURNING)
         assert self._driver
         if self._by_key:
-            self._say("Press Enter as soon as the wheels have stopped.")
+            self._say(judge.PRESS)
             judge.key_pressed()
         self._samples.clear()
         cause_ns = time.monotonic_ns()
@@ -289,8 +289,8 @@ class SerialProbe:
 
     def _plug(self) -> Row:
         """The person pulls it, and says when the wheels stand: nothing comes through it any more."""
-        self._start()
-        self._until(self._turns_s)
+        if not self._turn():
+            return Row("plug", ROWS["plug"], unjudged=judge.NOT_TURNING)
         self._gone_ns = 0
         self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels have stopped.")
         judge.key_pressed()
@@ -312,6 +312,16 @@ class SerialProbe:
         if stands_ns is None:
             return Row("plug", ROWS["plug"], None, judge.PERSON, unjudged=self._asked())
         return Row("plug", ROWS["plug"], (stands_ns - cause_ns) / 1e9, judge.PERSON)
+
+    def _turn(self) -> bool:
+        """Have the throw-away driver turn the wheels; False: the board reports that they don't, and all is stopped."""
+        self._start()
+        self._samples.clear()
+        self._until(self._turns_s)
+        if self._by_key or not judge.rested(self._samples, self._rest_ns()):
+            return True
+        self._finish()
+        return False
 
     def _start(self) -> None:
         """The throw-away driver drives."""

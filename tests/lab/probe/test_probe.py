@@ -27,6 +27,7 @@ from failstop.policy.halted import CONFIRMED
 from failstop_lab.boards.live import DIAMETER_M
 from failstop_lab.probe import judge
 from failstop_lab.probe.card import FORMATS, Card, Row
+from failstop_lab.probe.guard_port import GuardProbe
 from failstop_lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
@@ -116,6 +117,50 @@ def test_the_card_says_what_the_board_did(base: str, tmp_path: Path) -> None:
         else:
             near_s = max(NEAR_S, ON_THE_WAY_S + row.within_s)
             assert least_s - near_s <= row.stands_s <= most_s + near_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("failure", ["sigkill", "plug"])
+def test_wheels_that_were_not_turning_were_not_stopped_by_the_failure(failure: str, tmp_path: Path) -> None:
+    """Somebody has switched off the motors' power: the board reports wheels at rest, also while its driver drives."""
+    with SimBoard(tmp_path / "b", board="hoverboard") as board:
+        language = board_of("hoverboard", DIAMETER_M, 0.0)
+        frame = frame_of(language)
+        with SerialProbe(board.link, "hoverboard", language, frame, by_key=False, say=pytest.fail) as probe:
+            probe.character()
+            board.deaf(True)
+            row = probe.run_row(failure)
+    assert (row.stands_s, row.never, row.unjudged) == (None, False, judge.NOT_TURNING)
+
+
+@pytest.mark.slow
+def test_wheels_that_somebody_stopped_before_a_failure_were_not_stopped_by_the_guard_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    language = board_of("hoverboard", DIAMETER_M, 0.0)
+    turns = GuardProbe._turns
+
+    def turn_and_be_stopped(probe: GuardProbe) -> bool:
+        if found := turns(probe):
+            probe._robot.disable()
+        return found
+
+    monkeypatch.setattr(GuardProbe, "_turns", turn_and_be_stopped)
+    with SimBoard(tmp_path / "b", board="hoverboard") as board:
+        frame = frame_of(language)
+        with GuardProbe(board.link, "hoverboard", 0, language, frame, None, pytest.fail) as column:
+            row = column.run_row("sigkill")
+    assert (row.stands_s, row.never, row.unjudged) == (None, False, judge.NOT_TURNING)
+
+
+def test_a_rest_before_the_failure_is_one_that_has_lasted() -> None:
+    """A slow wheel may say the same place twice."""
+    turning = [(at * 10**8, (0.1,), (float(at),)) for at in range(5)]
+    rest = [(at * 10**8, (0.0,), (4.0,)) for at in range(5, 9)]
+    for count in range(5):
+        samples = [*turning, *rest[:count]]
+        assert judge.rested(samples, judge.rest_ns(samples)) is (count > 2), count
+    assert not judge.rested([], None)
 
 
 PAGE = ROOT / "docs/does-your-robot-stop.md"
