@@ -38,7 +38,7 @@ failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 WORD = "spin"
 DIAMETER_M = 0.08
 WARNING = """\
-THIS TURNS THE WHEELS slowly, {count} times, for up to {seconds:.0f} s each, and makes the program \
+THIS TURNS THE WHEELS slowly, {count} times, for up to {seconds:.0f} s each{longer}, and makes the program \
 that drives them fail. The wheels may keep turning until the probe stops them.
 
   1. The robot is on a stand: every wheel is OFF THE GROUND and free to turn.
@@ -46,6 +46,7 @@ that drives them fail. The wheels may keep turning until the probe stops them.
   3. The POWER SWITCH is at hand.
 
 Ctrl-C stops the wheels. Type "{word}" to begin, or anything else to quit:"""
+LONGER = " (longer when you pull the plug: they may turn until you plug it in again)"
 ENDED_BY_PERSON = "interrupted"
 NEVER_TURNED = "no wheel was turned"
 
@@ -142,10 +143,10 @@ def _say(text: str) -> None:
     print("\n".join(map(style.plain, style_line)), file=sys.stderr, flush=True)
 
 
-def _consent(arguments: Namespace, count: int) -> None:
+def _consent(arguments: Namespace, count: int, longer: str = "") -> None:
     if arguments.yes:
         return
-    style.warn(WARNING.format(seconds=15, count=count, word=WORD), end=" ")
+    style.warn(WARNING.format(seconds=15, count=count, longer=longer, word=WORD), end=" ")
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
 
@@ -192,7 +193,8 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
     check_free(arguments.port)
     if doubt := serial.check_kind(arguments.port, arguments.board, arguments.baud):
         _say(f"This may not be {arguments.board}: {doubt}.")
-    _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1)
+    longer = LONGER if "plug" in names and sys.stdin.isatty() else ""
+    _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1, longer)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)

@@ -54,6 +54,7 @@ SIGNALS = {
     "close": signal.SIGUSR2,
     "silence": signal.SIGUSR1,
 }
+UNDATED = "the port did not show when the plug was pulled"
 CLOSES = ("sigkill", "close")
 """Rows after which nobody of the driver's has the port open: the kernel lowers its modem lines."""
 
@@ -77,6 +78,8 @@ class SerialProbe:
         self._watcher: subprocess.Popen[str] | None = None
         self._orders: Orders | None = None
         self._gone_ns = 0
+        self._heard_ns = 0
+        """When the board reported or answered anything last."""
         self._halt = Halt(path, board, say)
         own_s = wire_of(kind).watchdog.after_ns / 1e9 if is_described(kind) else 0.0
         self._turns_s = max(TURNS_S, own_s + MORE_S)
@@ -179,6 +182,7 @@ class SerialProbe:
                 with contextlib.suppress(BlockingIOError):
                     self._tap.ping()
             for t_ns, kind, said in self._tap.read():
+                self._heard_ns = t_ns
                 if kind == HEARD_IMU and self._board.observed_by == BY_IMU:
                     self._samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))
                 elif kind == HEARD_WHEELS and self._board.observed_by != BY_IMU:
@@ -288,30 +292,68 @@ class SerialProbe:
             fcntl.ioctl(self._tap.fd, termios.TIOCMBIC, struct.pack("I", termios.TIOCM_DTR | termios.TIOCM_RTS))
 
     def _plug(self) -> Row:
-        """The person pulls it, and says when the wheels stand: nothing comes through it any more."""
+        """The person pulls it, and says when the wheels stand: nothing comes through it any more. A port that stays,
+        because the plug is pulled at the board's end, shows by the end of the board's reports when that was."""
+        self._gone_ns = 0
         if not self._turn():
             return Row("plug", ROWS["plug"], unjudged=judge.NOT_TURNING)
-        self._gone_ns = 0
+        reports = not self._silent()
         self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels have stopped.")
         judge.key_pressed()
-        if not self._until(PLUG_S, lambda: self._gone_ns > 0):
+        pressed_ns = 0
+
+        def pulled() -> bool:
+            return self._gone_ns > 0 or (reports and self._silent())
+
+        def pulled_or_pressed() -> bool:
+            nonlocal pressed_ns
+            pressed_ns = time.monotonic_ns() if judge.key_pressed() else 0
+            return pressed_ns > 0 or pulled()
+
+        self._until(PLUG_S, pulled_or_pressed)
+        if pressed_ns and reports:  # a pulled plug may not have shown yet
+            self._until(judge.SILENT_S + MORE_S, pulled)
+        if reports and not pulled():
             self._finish()
             return Row("plug", ROWS["plug"], skipped="nobody pulled it")
-        cause_ns = self._gone_ns
-        by_key, self._by_key = self._by_key, True
-        stands_ns = self._stands(cause_ns)
-        self._by_key = by_key
+        cause_ns = self._gone_ns or (self._heard_ns if reports else 0)
+        stands_ns: int | None = pressed_ns
+        if cause_ns and pressed_ns <= cause_ns:
+            by_key, self._by_key = self._by_key, True
+            stands_ns = self._stands(cause_ns)
+            self._by_key = by_key
         self._end_driver()
-        if stands_ns is None:
+        if not cause_ns:
+            self._say("Plug the board in again, then press Enter.")
+        elif stands_ns is None:
             self._say(f"No key within {judge.NEVER_S:g} s. Plug the board in again; then the stop is written at once.")
         else:
             self._say("Plug the board in again.")
-        self._until(PLUG_S, lambda: os.path.exists(self._path))
+        self._wait_for_plug(reports=reports)
         self._order(STOP_WORD)
         self._open()
+        if not cause_ns:
+            return Row("plug", ROWS["plug"], unjudged=UNDATED)
         if stands_ns is None:
-            return Row("plug", ROWS["plug"], None, judge.PERSON, unjudged=self._asked())
-        return Row("plug", ROWS["plug"], (stands_ns - cause_ns) / 1e9, judge.PERSON)
+            return Row("plug", ROWS["plug"], None, judge.PERSON, cause_ns=cause_ns, unjudged=self._asked())
+        return Row("plug", ROWS["plug"], (stands_ns - cause_ns) / 1e9, judge.PERSON, cause_ns=cause_ns)
+
+    def _silent(self) -> bool:
+        """Whether the board has not reported or answered anything for a while."""
+        return time.monotonic_ns() - self._heard_ns > judge.SILENT_S * judge.NS
+
+    def _wait_for_plug(self, *, reports: bool) -> None:
+        """Wait until the board is plugged in again: until its port is there, or it reports. A person says it of one
+        that does not report. Raises FailstopError."""
+        since_ns = time.monotonic_ns()
+
+        def back() -> bool:
+            if self._gone_ns:
+                return os.path.exists(self._path)
+            return self._heard_ns > since_ns or (not reports and judge.key_pressed())
+
+        if not self._until(PLUG_S, back):
+            raise FailstopError("the board was not plugged in again")
 
     def _turn(self) -> bool:
         """Have the throw-away driver turn the wheels; False: the board reports that they don't, and all is stopped."""

@@ -14,6 +14,7 @@ import subprocess
 import threading
 import time
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -28,7 +29,7 @@ from failstop_lab.boards.live import DIAMETER_M
 from failstop_lab.probe import judge
 from failstop_lab.probe.card import FORMATS, Card, Row
 from failstop_lab.probe.guard_port import GuardProbe
-from failstop_lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
+from failstop_lab.probe.serial import ROWS, UNDATED, SerialProbe, check_kind, frame_of
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG, amount
@@ -199,6 +200,68 @@ def test_a_person_pulls_the_plug_and_says_when_the_wheels_stand(tmp_path: Path) 
     (row,) = json.loads(Path(f"{out}.json").read_text())["rows"]
     print(f"plug: {row['stands_s']}, really {really_s:.3f}")
     assert row["stands_s"] == pytest.approx(really_s, abs=NEAR_S + TELLS_S)
+
+
+@dataclasses.dataclass
+class Person:
+    """Pulls the board's end of the cable, so that the port stays; presses Enter as soon as `stands` is true."""
+
+    board: SimBoard
+    stands: Callable[[], bool]
+    pulls: bool = True
+    says: list[str] = dataclasses.field(default_factory=list)
+    """What the probe has said to this person."""
+    pulled_ns: int = 0
+
+    def hears(self, text: str) -> None:
+        self.says.append(text)
+        out = text.startswith("PULL")
+        if self.pulls:
+            self.board.deaf(out)
+            self.board.silent(out)
+        self.pulled_ns = self.pulled_ns or time.monotonic_ns()
+
+    def plug_row(self, monkeypatch: pytest.MonkeyPatch) -> Row:
+        """The row `plug` of this person's probe of a hoverboard."""
+        monkeypatch.setattr(judge, "key_pressed", lambda: bool(self.says) and self.stands())
+        language = board_of("hoverboard", DIAMETER_M, 0.0)
+        frame = frame_of(language)
+        with SerialProbe(self.board.link, "hoverboard", language, frame, by_key=False, say=self.hears) as probe:
+            row = probe.run_row("plug")
+        self.board.wait_wheels(False, STOPS_S)
+        return row
+
+
+@pytest.mark.slow
+def test_a_plug_that_is_pulled_at_the_board_s_end_shows_by_the_end_of_the_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with serial pins: the port stays."""
+    with SimBoard(tmp_path / "b", board="hoverboard") as board, Watched(board) as watched:
+        person = Person(board, lambda: bool(watched.rests))
+        row = person.plug_row(monkeypatch)
+    _, rests_ns = watched.rests[0]
+    assert row.stands_s == pytest.approx((rests_ns - person.pulled_ns) / 1e9, abs=NEAR_S + TELLS_S)
+    assert person.says[1:] == ["Plug the board in again."]
+
+
+@pytest.mark.slow
+def test_a_plug_whose_moment_nothing_shows_is_not_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The port stays, and the board had reported nothing before either."""
+    with SimBoard(tmp_path / "b", board="hoverboard") as board:
+        board.silent(True)
+        person = Person(board, lambda: not any(board.wheels()))
+        row = person.plug_row(monkeypatch)
+    assert (row.stands_s, row.skipped, row.unjudged) == (None, "", UNDATED)
+    assert person.says[1:] == ["Plug the board in again, then press Enter."]
+
+
+@pytest.mark.slow
+def test_a_plug_that_stays_in_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The person presses Enter, and the reports go on."""
+    with SimBoard(tmp_path / "b", board="hoverboard") as board:
+        row = Person(board, lambda: True, pulls=False).plug_row(monkeypatch)
+    assert row.skipped == "nobody pulled it"
 
 
 def wait_for_its_end(port: Path) -> None:
