@@ -1,7 +1,8 @@
-"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S [brief]`. It obeys /cmd_vel, and
-tells /odom and /imu; with a timeout of 0 it keeps the last velocity. A brief one stops its wheels BRIEF_S after they
-began to turn, and turns them again after a zero. Each change of what its wheels do is a line: when (ns), and whether
-they turn. Never imported by a test."""
+"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S [brief|jitters|numb]`. It obeys
+/cmd_vel, and tells /odom and /imu; with a timeout of 0 it keeps the last velocity. A brief one stops its wheels BRIEF_S
+after they began to turn, and turns them again after a zero. The odometry of one that jitters is never at rest, as one
+that has an IMU in it; the IMU of a numb one feels nothing. Each change of what its wheels do is a line: when (ns),
+and whether they turn. Never imported by a test."""
 
 from __future__ import annotations
 
@@ -53,10 +54,11 @@ def main(timeout_s: float, *more: str) -> None:
             x += speed * PERIOD_S
             message = odometry()
             message.twist.twist.linear.x, message.pose.pose.position.x = speed, x
+            message.pose.pose.orientation.z = random.gauss(0.0, 1e-4) if "jitters" in more else 0.0
             publisher.publish(message)
             felt = imu()
-            felt.angular_velocity.x = random.gauss(0.0, 0.2 if speed else 0.01)
-            felt.angular_velocity.y = random.gauss(0.0, 0.2 if speed else 0.01)
+            shaking = 0.0 if "numb" in more else 0.2 if speed else 0.01
+            felt.angular_velocity.x, felt.angular_velocity.y = random.gauss(0.0, shaking), random.gauss(0.0, shaking)
             shakes.publish(felt)
 
 

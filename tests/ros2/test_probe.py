@@ -11,6 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from failstop.policy.halted import UNCONFIRMABLE
 from failstop_lab.probe.judge import NOT_TURNING
 from tests.ros2.scene import HERE, Ros
 from tests.support.amounts import LONG
@@ -74,6 +75,27 @@ def test_wheels_that_were_not_turning_were_not_stopped_by_the_failure(ros: Ros, 
         base.kill()
     (row,) = json.loads(done.stdout)["rows"]
     assert (row["stands_s"], row["never"], row["not_measured"]) == (None, False, NOT_TURNING)
+    assert done.returncode == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flaw", "more", "why"),
+    [
+        ("jitters", (), "/odom does not show that the robot is at rest now: use --imu or --key"),
+        ("numb", ("--imu", "/imu"), "/imu publishes too little: leave --imu out, or use --key"),
+    ],
+)
+def test_what_shows_rest_and_turning_alike_is_no_judge(
+    ros: Ros, tmp_path: Path, flaw: str, more: tuple[str, ...], why: str
+) -> None:
+    """It would say of each robot that it does not stop, or that it has stopped. It is not asked at the end either."""
+    with driver(ros, TIMEOUT_S, flaw) as base:
+        done = ros.run(*probing("silence", tmp_path, *more), timeout_s=280.0)
+        base.kill()
+    assert done.stdout, done.stderr
+    card = json.loads(done.stdout)
+    assert (card["rows"], card["ended"]) == ([], f"{why}; {UNCONFIRMABLE.format(where='/cmd_vel')}")
     assert done.returncode == 1
 
 

@@ -124,6 +124,8 @@ class Listener:
         self.topic = arguments.imu or arguments.odom
         self.shaking: judge.Shaking | None = None
         """Tells rest from turning by the IMU, once the IMU has shown both. None: not yet, or the odometry judges."""
+        self.judges = not arguments.imu
+        """Whether it can tell rest from turning, as far as is known."""
         kind, take = (IMU_TYPE, self._add_gyro) if arguments.imu else (ODOM_TYPE, self._add_odometry)
         # It hears reliable publishers too.
         profile = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -169,9 +171,15 @@ class Listener:
         """The first sample of the rest in which they end; None: they end in a turn."""
         return self.shaking.rest_ns(self.samples) if self.shaking else judge.rest_ns(self.samples)
 
-    def still(self) -> bool | None:
-        """Whether it says that the robot is at rest, as soon as that has lasted; None: it says nothing."""
+    def alone(self) -> None:
+        """Listen without a guard from now on."""
         self._here = lambda: None
+
+    def still(self) -> bool | None:
+        """Whether it says that the robot is at rest, as soon as that has lasted; None: it says nothing, or
+        can't tell."""
+        if not self.judges:
+            return None
         self.samples.clear()
         self.until(SEES_REST_S, lambda: len(self.samples) > 1 and judge.believed(self.samples, self.rest_ns()))
         return judge.believed(self.samples, self.rest_ns()) if len(self.samples) > 1 else None
@@ -217,6 +225,9 @@ class RosProbe:
         if arguments.imu and not arguments.key:
             self._say("first, what the IMU measures while the wheels are still and while they turn ...")
             _character(arguments, listener, guard)
+        elif not arguments.key:
+            self._say("first, what the odometry reports while the wheels are still ...")
+            _check_rest(listener)
         for name in names:
             words = ROWS[name]
             if name == "driver" and not arguments.driver_pid:
@@ -230,6 +241,7 @@ class RosProbe:
         why = self._stopped()
         still = None
         if self._listener:
+            self._listener.alone()
             still = None if self._arguments.key or why else self._listener.still()
             self._listener.close()
             by = self._listener.topic
@@ -270,6 +282,14 @@ def _driving(arguments: Namespace, listener: Listener, guard: Publisher, count: 
         listener.until(judge.RESTS_S)
 
 
+def _check_rest(listener: Listener) -> None:
+    """Raises FailstopError where the odometry of a robot at rest does not show that, as one that an IMU has a part in:
+    it would never stop by that."""
+    if listener.until(STARTS_S, lambda: bool(listener.samples)) and listener.still() is False:
+        listener.judges = False
+        raise FailstopError(f"{listener.topic} does not show that the robot is at rest now: use --imu or --key")
+
+
 def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> None:
     """How the IMU feels rest and turning. Raises FailstopError where it can't tell them apart."""
     still = shake.noise(listener.stretch(STILL_S))
@@ -280,7 +300,7 @@ def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> No
     if shaking is None or not shaking.distinguishes:
         what = "does not show whether the wheels turn" if shaking else "publishes too little"
         raise FailstopError(f"{arguments.imu} {what}: leave --imu out, or use --key")
-    listener.shaking = shaking
+    listener.shaking, listener.judges = shaking, True
 
 
 def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, say: Callable[[str], None]) -> Row:
