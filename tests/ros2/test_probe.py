@@ -11,8 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop.policy.halted import UNCONFIRMABLE
+from failstop.policy.halted import NOTHING_WRITTEN, UNCONFIRMABLE
 from failstop_lab.probe.judge import NOT_TURNING
+from failstop_lab.probe.ros2 import NOBODY_OBEYS
 from tests.ros2.scene import HERE, Ros
 from tests.support.amounts import LONG
 
@@ -96,6 +97,19 @@ def test_what_shows_rest_and_turning_alike_is_no_judge(
     assert done.stdout, done.stderr
     card = json.loads(done.stdout)
     assert (card["rows"], card["ended"]) == ([], f"{why}; {UNCONFIRMABLE.format(where='/cmd_vel')}")
+    assert done.returncode == 1
+
+
+@pytest.mark.slow
+def test_a_killed_driver_is_the_last_row_and_nobody_says_that_its_wheels_were_stopped(ros: Ros, tmp_path: Path) -> None:
+    """Its odometry ends with it, and the zeros reach nobody."""
+    with driver(ros, TIMEOUT_S) as base:
+        done = ros.run(*probing("driver,silence", tmp_path, "--driver-pid", str(base.pid)), timeout_s=280.0)
+        assert base.wait(ENDS_S) == -signal.SIGKILL
+    card = json.loads(done.stdout)
+    assert [(row["row"], bool(row["stands_s"])) for row in card["rows"]] == [("silence", True), ("driver", False)]
+    assert card["ended"] == NOTHING_WRITTEN.format(where="/cmd_vel", why=f" ({NOBODY_OBEYS})")
+    assert "if a wheel turns, switch off the power" in " ".join(done.stderr.split())
     assert done.returncode == 1
 
 

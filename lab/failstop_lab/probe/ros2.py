@@ -56,6 +56,8 @@ ROWS = {
 SENT = {"silence": "silent", "abort": "abort", "nan": "nan"}
 """Rows that the publisher is told to bring about, with the word for it."""
 SIGNALLED = {"sigkill": signal.SIGKILL, "sigstop": signal.SIGSTOP, "two": signal.SIGKILL}
+ORPHANED = "The driver was killed, so the probe's stop may reach nobody: if a wheel turns, switch off the power."
+NOBODY_OBEYS = "its driver was killed, so nobody obeys it any more"
 
 
 class Publisher:
@@ -198,6 +200,8 @@ class RosProbe:
         self._arguments, self._say = arguments, say
         self._guard: Publisher | None = None
         self._listener: Listener | None = None
+        self._orphaned = False
+        """The driver was killed, and its wheels were not seen to stop."""
         self.outcome: Halted | None = None
         """What is known of the wheels at the end; None: they were never to turn."""
 
@@ -228,13 +232,19 @@ class RosProbe:
         elif not arguments.key:
             self._say("first, what the odometry reports while the wheels are still ...")
             _check_rest(listener)
-        for name in names:
+        for name in sorted(names, key=lambda each: each == "driver"):  # the others need the driver
             words = ROWS[name]
             if name == "driver" and not arguments.driver_pid:
                 yield Row(name, words, skipped="give --driver-pid")
                 continue
             self._say(f"{words} ...")
-            yield _row(name, arguments, listener, guard, self._say)
+            row = _row(name, arguments, listener, guard, self._say, self._kill_driver)
+            self._orphaned &= row.stands_s is None
+            yield row
+
+    def _kill_driver(self) -> None:
+        self._orphaned = True
+        os.kill(self._arguments.driver_pid, signal.SIGKILL)
 
     def close(self) -> None:
         """Publish zeros, listen to what becomes of the wheels, and leave."""
@@ -245,6 +255,8 @@ class RosProbe:
             still = None if self._arguments.key or why else self._listener.still()
             self._listener.close()
             by = self._listener.topic
+            if self._orphaned and not still:
+                why = why or NOBODY_OBEYS
             self.outcome = Halted(self._arguments.cmd_vel, written=not why, why=why, still=still, by=by)
 
     def _stopped(self) -> str:
@@ -303,7 +315,14 @@ def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> No
     listener.shaking, listener.judges = shaking, True
 
 
-def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, say: Callable[[str], None]) -> Row:
+def _row(
+    name: str,
+    arguments: Namespace,
+    listener: Listener,
+    guard: Publisher,
+    say: Callable[[str], None],
+    kill_driver: Callable[[], None],
+) -> Row:
     with _driving(arguments, listener, guard, 2 if name == "two" else 1) as publishers:
         if not arguments.key and not listener.until(SEEN_S, listener.turning):
             raise FailstopError(f"{listener.topic} reported no motion within {SEEN_S:g} s: is its driver running?")
@@ -317,7 +336,7 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
         listener.samples.clear()
         cause_ns = time.monotonic_ns()
         if name == "driver":
-            os.kill(arguments.driver_pid, signal.SIGKILL)
+            kill_driver()
         elif word := SENT.get(name):
             for publisher in publishers:
                 publisher.send(word)
@@ -326,6 +345,8 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
         if name == "two":
             publishers[1].send("silent")
         rest = _stands(listener, by_key=arguments.key)
+        if name == "driver" and rest is None:
+            say(ORPHANED)
         last, now_ns = list(listener.samples), time.monotonic_ns()
     unjudged = ""
     if rest is None and arguments.key:
