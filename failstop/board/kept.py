@@ -7,12 +7,11 @@ then.
 from __future__ import annotations
 
 from failstop.board.interface import Board
-from failstop.board.wire import Port
+from failstop.board.wire import MOST_STOPS, Port
 
 FIELDS = 7
 LONGEST_BURST = 4096
 """The longest stop burst that is accepted, in bytes."""
-MOST_REPEATS = 8
 MOST_NS = 2_000_000_000
 """The longest time that is accepted in a kept stop, in ns."""
 
@@ -36,7 +35,7 @@ def unpack_stop(kept: str) -> Kept | None:
     except (ValueError, IndexError):
         return None
     times = (idle_ns, after_ns, *repeats)
-    fits = len(words) == FIELDS and 0 < len(burst) <= LONGEST_BURST and len(repeats) <= MOST_REPEATS
+    fits = len(words) == FIELDS and 0 < len(burst) <= LONGEST_BURST and len(repeats) < MOST_STOPS
     if not fits or not all(0 <= ns <= MOST_NS for ns in times) or baud <= 0:
         return None
     return Kept(Port(baud=baud, dtr=bool(dtr), rts=bool(rts), deaf_ns=0, opening=()), idle_ns, after_ns, repeats, burst)

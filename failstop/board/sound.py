@@ -13,7 +13,7 @@ from math import isfinite
 from failstop.board import wire as words
 from failstop.board.checks import FrameError
 from failstop.board.interface import ServoBus
-from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
+from failstop.board.wire import MOST_STOPS, Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
 from failstop.data import Data
 
 TYPE_CHECKING = False
@@ -34,7 +34,6 @@ MOST_QUESTIONS = 4
 _MOST_BYTES = 1024
 """The longest frame that is allowed, in bytes. This also limits the stop."""
 _MOST_FRAMES = 16
-_MOST_REPEATS = 32
 _DIAMETERS_M = (0.03, 0.08, 0.3)
 _NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step in range(1, 24))
 """Bytes that form no valid frame."""
@@ -165,7 +164,8 @@ def _counts(wire: Wire) -> None:
     rows = stop.repeats_ns
     _hold(len(rows) == _WRITERS, f"WIRE.stop.repeats_ns has {len(rows)} rows, must have {_WRITERS}: one a writer")
     for at, row in enumerate(rows):
-        _hold(0 < len(row) <= _MOST_REPEATS, f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to 32")
+        text = f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to {MOST_STOPS}"
+        _hold(0 < len(row) <= MOST_STOPS, text)
         rises = row[0] == 0 and list(row) == sorted({*row})
         text = f"WIRE.stop.repeats_ns[{at}] = {_shown(row)}, must begin with 0 and rise to {_S} ns at most"
         _hold(rises and row[-1] <= _S, text)

@@ -13,11 +13,12 @@ from typing import Any
 import psutil
 import pytest
 
-from failstop.board import own, sound
+from failstop.board import kept, own, sound
 from failstop.board.checks import FrameError
+from failstop.board.described import Described
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.board.own import OwnBoardError
-from failstop.board.wire import ANSWERED, ECHOED, Question, Wire, Write
+from failstop.board.wire import ANSWERED, ECHOED, MOST_STOPS, Question, Wire, Write
 from failstop.data import Data
 from failstop.messages import layout
 from failstop_lab.sim.client import SimBoard
@@ -75,6 +76,14 @@ class Mute:
 
     def feed(self, _chunk: bytes) -> None:
         return None
+
+
+@pytest.mark.parametrize("times", [MOST_STOPS, MOST_STOPS + 1])
+def test_every_stop_that_a_description_may_have_can_be_kept(times: int) -> None:
+    wire: Wire = changed(ARDUINO, "stop.repeats_ns", (tuple(range(times)),) * 3)
+    allowed = times == MOST_STOPS
+    assert (sound.wrong(wire) == "") is allowed
+    assert (kept.unpack_stop(kept.pack_stop(Described(wire, 100.0, 0.08))) is not None) is allowed
 
 
 WRONG: dict[str, tuple[str, object, str]] = {

@@ -264,10 +264,19 @@ def test_the_stop_goes_out_at_the_baud_rate_of_the_board(by: str, board: tuple[s
     assert came(master, len(arduino.burst)).startswith(arduino.burst)
 
 
+@pytest.mark.parametrize("kind", BOARDS)
+def test_the_stop_of_every_board_can_be_kept(kind: str) -> None:
+    board = board_of(kind, 0.08, 0.0)
+    known = kept.unpack_stop(kept.pack_stop(board))
+    assert known
+    assert (known.burst, known.idle_ns, known.after_ns) == (board.burst, board.idle_ns, board.after_ns)
+    assert known.repeats_ns[SUPERVISOR_ROW] == board.repeats_ns[SUPERVISOR_ROW]
+
+
 def test_a_kept_stop_that_is_nonsense_is_none() -> None:
     good = kept.pack_stop(board_of("arduino", 0.08, 0.0)).split(" ")
     assert kept.unpack_stop(" ".join(good)) is not None
-    for at, wrong in ((0, "-1"), (0, "x"), (3, "9" * 20), (5, "1,x"), (5, ",".join("1" * 9)), (6, "0g"), (6, "")):
+    for at, wrong in ((0, "-1"), (0, "x"), (3, "9" * 20), (5, "1,x"), (5, ",".join("1" * 32)), (6, "0g"), (6, "")):
         assert kept.unpack_stop(" ".join([*good[:at], wrong, *good[at + 1 :]])) is None, (at, wrong)
     for other in ("", "stop", " ".join(good[:-1]), " ".join([*good, "00"])):
         assert kept.unpack_stop(other) is None
