@@ -245,9 +245,9 @@ class Question(Data):
     """A function (sample) that returns True if the sample is the answer to this question."""
 
 
-def answer_is(text: str) -> Callable[[Sample], bool]:
-    """Make the `answered_by` of a question whose answer is an Answer with exactly this text."""
-    return lambda sample: isinstance(sample, Answer) and sample.text == text
+def answer_is(*texts: str) -> Callable[[Sample], bool]:
+    """Make the `answered_by` of a question whose answer is an Answer with exactly one of these texts."""
+    return lambda sample: isinstance(sample, Answer) and sample.text in texts
 
 
 class Reader:

@@ -134,7 +134,7 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "no field": (in_wire("        after_ns=0,\n", ""), "wire.py: TypeError: TimedStop lacks after_ns"),
     "no such field": (in_wire("ping_ns=", "pings_ns="), "wire.py: TypeError: Wire has no field pings_ns"),
     "a field of another type": (
-        in_wire("baud=57_600", 'baud="57600"'),
+        in_wire("baud=codec.USUAL_BAUD", 'baud="57600"'),
         "wire.py: WIRE.port.baud = '57600', must be of type int",
     ),
     "in a tuple": (

@@ -20,7 +20,8 @@ from failstop.board.kinds import board_of, wire_of
 from failstop.board.ugv import codec as ugv
 from failstop.board.wire import Answer, Battery, Firmware, Imu, Motion, Obeyed, Sample, Wheels, Wire, beyond
 from failstop.policy.kinematics import from_settings
-from failstop.policy.settings import Settings
+from failstop.policy.settings import BAUDS, Settings
+from failstop_lab.boards.arduino import Arduino
 from failstop_lab.boards.line import arrivals, model_of, play
 from tests.support.amounts import amount
 from tests.support.boards import EVERY_KIND, wide
@@ -241,6 +242,17 @@ def test_a_question_knows_its_answer_from_the_others(kind: str, answers: list[by
     samples = [wire.reader().feed(answer)[0] for answer in answers]
     for index, question in enumerate(wire.questions):
         assert [question.answered_by(sample) for sample in samples] == [index == at for at in range(len(samples))]
+
+
+@pytest.mark.parametrize("baud", [baud for baud in BAUDS if baud])
+def test_an_arduino_answers_with_the_rate_that_its_firmware_was_built_for(baud: int) -> None:
+    receiver = model_of("arduino").live()
+    assert isinstance(receiver, Arduino)
+    receiver.baud = baud
+    wire = wire_of("arduino")
+    play(receiver, arrivals([(1, arduino.BAUD_RATE)], wire.port.byte_ns), 20 * MS)
+    [answer] = wire.reader().feed(receiver.said[-1][1])
+    assert [question.answered_by(answer) for question in wire.questions] == [True, False]
 
 
 @every_board

@@ -82,6 +82,14 @@ def test_a_session_of_hbrobotics_node() -> None:
     assert motions(b"".join(lines)) == []
 
 
+@pytest.mark.parametrize(("setting", "answer"), [(0, b"57600\r\n"), (115_200, b"115200\r\n")])
+def test_the_rate_is_the_one_of_the_board(setting: int, answer: bytes) -> None:
+    """hbrobotics' node has the board's rate in its parameters, and compares."""
+    language = language_of("arduino", {"board.baud": setting})
+    assert language
+    assert [row.data for row in language.wrote(b"b\r", 0) if isinstance(row, DriverAnswer)] == [answer]
+
+
 @pytest.mark.parametrize("line", [b"m 32768 0\r", b"m 0 -99999\r", b"m 65546 0\r", b"m 0000000000000010 1\r"])
 def test_a_speed_that_would_wrap_around_on_the_board_stops_the_wheels(line: bytes) -> None:
     assert motions(line) == [(0.0, 0.0)]

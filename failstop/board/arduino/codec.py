@@ -24,7 +24,11 @@ from failstop.board.wire import Answer, Sample, Wheels
 
 STOP = b"\rm 0 0\r"
 BAUD_RATE = b"b\r"
-"""The question for the board's baud rate. It changes nothing on the board, and the board answers 57600."""
+"""The question for the board's baud rate. It changes nothing on the board, and the board answers with the rate that its
+firmware was built for."""
+USUAL_BAUD = 57_600
+BAUDS = (USUAL_BAUD, 115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000)
+"""The rates that the firmware may have been built for: those of the setting board.baud."""
 POSITIONS = b"e\r"
 LIMIT = 999.0
 UNIT = "encoder ticks per 33 ms"

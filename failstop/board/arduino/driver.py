@@ -81,9 +81,9 @@ class ArduinoDriver:
     less often than every 200 ms (_STEADY_NS), because their age varies.
     """
 
-    def __init__(self, pins: Collection[int] = ()) -> None:
-        """`pins` are the pins that the driver may set."""
-        self._pins = pins
+    def __init__(self, pins: Collection[int] = (), baud: int = codec.USUAL_BAUD) -> None:
+        """`pins` are the pins that the driver may set. `baud` is the baud rate of the board's firmware."""
+        self._pins, self._baud = pins, baud
         self._asked_ns = 0
         """The time when failstop asked the board for counts because the driver sent an `e`, in ns. 0 if no such
         question waits for its answer."""
@@ -156,7 +156,7 @@ class ArduinoDriver:
             counts = self._kept if now_ns - self._kept_ns < _STEADY_NS else self._counts
             return [DriverAnswer(b"%d %d\r\n" % tuple(counts)), *self._ask(now_ns)]
         if self._command == ord("b"):
-            return [DriverAnswer(b"57600\r\n")]
+            return [DriverAnswer(b"%d\r\n" % self._baud)]
         if self._command == ord("o"):
             return [
                 DriverRefusal("raw PWM (o)", "its speed can't be limited, so the wheels were stopped: use m"),
@@ -225,4 +225,4 @@ def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
     if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:
         allowed = ", ".join(map(str, codec.PINS))
         raise ValueError(f"guard.pins: {wrong[0]}, must be among {allowed}: the others may drive a motor")
-    return ArduinoDriver(pins)
+    return ArduinoDriver(pins, int(settings.get("board.baud", 0)) or codec.USUAL_BAUD)

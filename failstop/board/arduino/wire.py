@@ -50,7 +50,7 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 WIRE = Wire(
     name="an Arduino with ros_arduino_bridge",
     # Opening the port raises DTR, which resets the board. Its bootloader then waits 1.4 s for a program.
-    port=Port(baud=57_600, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
+    port=Port(baud=codec.USUAL_BAUD, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
     stop=TimedStop(
         writes=(Write(0, codec.STOP),),
         after_ns=0,
@@ -78,7 +78,7 @@ WIRE = Wire(
         speeds=codec.MOTION.speeds,
     ),
     questions=(
-        Question("baud rate", codec.BAUD_RATE, answer_is("57600")),
+        Question("baud rate", codec.BAUD_RATE, answer_is(*map(str, codec.BAUDS))),
         Question("positions", codec.POSITIONS, lambda sample: isinstance(sample, Wheels)),
     ),
     reader=codec.answers,

@@ -18,7 +18,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 
-from failstop.board.arduino.codec import PERIODS
+from failstop.board.arduino.codec import PERIODS, USUAL_BAUD
 from failstop.board.wire import TimedStop, Write
 from failstop_lab.boards.line import ReceiverModel, Rolling
 
@@ -61,6 +61,8 @@ class Arduino(Rolling):
         """By a raw line, which switches the controllers off."""
         self.counts = (0, 0)
         """The encoders' counts, which the board answers with."""
+        self.baud = USUAL_BAUD
+        """What its firmware was built for, and says."""
         self.turns = turns
         """Whether its encoders count as its wheels turn."""
         self._way = [0.0, 0.0]
@@ -137,7 +139,7 @@ class Arduino(Rolling):
         elif self.cmd == ord("e"):
             self._say(b"%d %d\r\n" % self.counts)
         elif self.cmd == ord("b"):
-            self._say(b"57600\r\n")
+            self._say(b"%d\r\n" % self.baud)
         elif self.cmd == ord("r"):
             self.speeds = (0, 0)
             self._say(b"OK\r\n")
