@@ -27,6 +27,7 @@ from failstop.messages import layout
 from failstop.setup import leftovers
 from failstop.setup.ending import end_with_parent, uninterrupted
 from failstop.setup.halt import Halt
+from failstop.setup.pace import Pace
 from failstop.setup.talk import Left
 
 RIG = "setup-"
@@ -120,6 +121,10 @@ class Rig:
         self.moved: dict[int, float] = {}
         """How far the position of each wheel id has changed, in the board's counts, without a sign. Empty if the board
         reports speeds, because positions are then ignored, or if the board reports nothing."""
+        self.ratio = 0.0
+        """The measured speed of the fastest wheel divided by the commanded speed, see Pace. 0.0 if the board does not
+        measure speeds by a scale of its own."""
+        self._pace: Pace | None = None
 
     def __enter__(self) -> Rig:
         try:
@@ -182,6 +187,7 @@ class Rig:
         view = attach(self.name, layout.TELEMETRY).ring_reader("received")
         self._hearing.reset()
         self.turned, self.moved = {}, {}
+        self._pace = Pace(self._board.reports) if self._board.reports.own_scale else None
         places: dict[int, list[float]] = {}
         blocked, moved_s = "", time.monotonic()
         self._drove = True
@@ -196,9 +202,12 @@ class Rig:
                     break
                 elif isinstance(answer, Blocked) and answer.block == Block.DISABLED:
                     self._robot.enable()
+                told_rps = self._told_rps()
                 time.sleep(REPEAT_S)
+                # After a pause in which the commands became too old, the wheels have been stopped.
+                told_rps = min(told_rps, self._told_rps())
                 for entry in iter(view.next, None):
-                    self._hear(entry[2], places)
+                    self._hear(entry, told_rps, places)
             self._robot.disable()
         except (FailstopError, Refused) as error:
             blocked = str(error)
@@ -206,7 +215,13 @@ class Rig:
             raise Left(f"the wheels stopped before the test was over: {self._why() or blocked}")
         self._stand()
         for entry in iter(view.next, None):
-            self._hear(entry[2], places)
+            self._hear(entry, 0.0, places)
+        self.ratio = self._pace.ratio if self._pace else 0.0
+
+    def _told_rps(self) -> float:
+        """Return how fast the gate commands the fastest wheel to turn, in turns per second."""
+        assert self._robot
+        return max(map(abs, self._robot.state.wheels_radps), default=0.0) / (2 * pi)
 
     def _stand(self) -> None:
         """Stop the wheels. Wait until the board has acknowledged the stop and reports that the wheels are stopped. If
@@ -227,10 +242,14 @@ class Rig:
         except FailstopError:
             raise Left(f"the board did not report within {STANDS_S:g} s that the wheels are stopped") from None
 
-    def _hear(self, data: bytes, places: dict[int, list[float]]) -> None:
+    def _hear(self, entry: tuple[int, int, bytes], told_rps: float, places: dict[int, list[float]]) -> None:
+        _, t_ns, data = entry
         for kind, said in self._hearing.feed(data):
             if kind == HEARD_WHEELS:
                 self._add(said, places)
+                if self._pace:
+                    speeds, positions = said
+                    self._pace.add(speeds, positions, told_rps, t_ns)
 
     def _add(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
         speeds, positions = said

@@ -225,8 +225,7 @@ class Trial:
         for other, speed in rig.turned.items():
             if abs(speed) > RESTS * fastest:
                 self._talk.say(f"The board reports that id {other} turned {'forward' if speed > 0 else 'backward'}.")
-        reports = self._board.reports
-        return fastest / reports.speed_per_rps / self._rps if reports.own_scale and reports.speed_per_rps else 0.0
+        return rig.ratio
 
     def _together(self, values: Mapping[str, object]) -> str:
         """Turn all wheels together, forward and then to the left, and ask about each turn. Returns the key of the first

@@ -270,6 +270,7 @@ def wheels_found(
         def __init__(self, _device: str, values: dict[str, object], _halt: Halt) -> None:
             self._alone = "limits.vy_mps" not in values
             self.turned: dict[int, float] = {}
+            self.ratio = 0.0
 
         def __enter__(self) -> Spun:
             return self
@@ -281,6 +282,8 @@ def wheels_found(
             if self._alone:
                 driven, commanded = int(velocity[2] > 0), wheels.RPS * board.reports.speed_per_rps
                 self.turned = {driven: left[0][1] * commanded, 1 - driven: -NOISE * commanded}
+                # What rests makes noise, and is the fastest wheel if the board does not measure the driven one.
+                self.ratio = max(left[0][1], NOISE)
 
     def answer(prompt: str) -> str:
         return left.pop(0)[0] if "+ or -" in prompt else answers.pop(0)
