@@ -208,7 +208,6 @@ class Rig:
                 told_rps = min(told_rps, self._told_rps())
                 for entry in iter(view.next, None):
                     self._hear(entry, told_rps, places)
-            self._robot.disable()
         except (FailstopError, Refused) as error:
             blocked = str(error)
         if blocked:
@@ -225,7 +224,9 @@ class Rig:
 
     def _stand(self) -> None:
         """Stop the wheels. Wait until the board has acknowledged the stop and reports that the wheels are stopped. If
-        the board can't do one of the two, don't wait for it. Raises Left."""
+        the board can't do one of the two, don't wait for it. Raises Left.
+
+        The wheels must still be driven, because a hoverboard acknowledges only a stop that ends motion."""
         assert self._robot
         epoch = self._robot.state.epoch
 

@@ -70,8 +70,10 @@ def test_a_wheel_that_still_speeds_up_is_not_called_too_slow() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "times"), [("ugv", 1.6)])
-def test_a_wheel_that_turns_alone_is_measured(kind: str, times: float, place: Path) -> None:
+@pytest.mark.parametrize(("kind", "times"), [("ugv", 1.6), ("hoverboard", 1.0)])
+def test_a_wheel_that_turns_alone_is_measured_and_its_stop_is_acknowledged(
+    kind: str, times: float, place: Path
+) -> None:
     board, port = board_of(kind, DIAMETER_M, 0.0), str(place / "b")
     values, velocity = alone(kind, 2, 1, rim_mps(RPS, DIAMETER_M), DIAMETER_M)
     with SimBoard(port, board=kind, per_rps=board.per_rps / times) as simulated:
