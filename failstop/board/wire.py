@@ -195,9 +195,9 @@ class Battery(Sample, Data):
     volts: float
 
 
-SERVO_VOLTAGE, SERVO_SENSOR, SERVO_HEAT, SERVO_CURRENT, SERVO_LOAD, SERVO_MISSING = 1, 2, 4, 8, 32, 128
-"""What can be wrong with a servo, one bit for each fault. SERVO_MISSING means that this servo does not answer while
-others do."""
+SERVO_VOLTAGE, SERVO_SENSOR, SERVO_HEAT, SERVO_CURRENT, SERVO_LOAD, SERVO_OTHER, SERVO_MISSING = 1, 2, 4, 8, 32, 64, 128
+"""What can be wrong with a servo, one bit for each fault. SERVO_OTHER is a fault that has no bit of its own.
+SERVO_MISSING means that this servo does not answer while others do."""
 
 
 class Health(Sample, Data):

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from failstop.board.kinds import facts_of
-from failstop.board.wire import SERVO_CURRENT, SERVO_HEAT, SERVO_LOAD, SERVO_MISSING, SERVO_SENSOR, SERVO_VOLTAGE
+from failstop.board.wire import (
+    SERVO_CURRENT,
+    SERVO_HEAT,
+    SERVO_LOAD,
+    SERVO_MISSING,
+    SERVO_OTHER,
+    SERVO_SENSOR,
+    SERVO_VOLTAGE,
+)
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import Settings
 
@@ -55,6 +63,7 @@ WRONG = {
     SERVO_HEAT: "it is too hot",
     SERVO_CURRENT: "it takes too much current",
     SERVO_LOAD: "it is overloaded",
+    SERVO_OTHER: "it reports another fault, which its maker's tool can show",
     SERVO_MISSING: SILENT_SERVO,
 }
 """What is wrong with a servo, in words, for each error bit in board/wire.py."""
@@ -65,7 +74,12 @@ def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings
     servo turns."""
     parts = _parts(settings)
     found = {parts.get(servo, f"servo {servo}"): bits for servo, _, _, bits in rows if bits}
-    return {part: " and ".join(text for bit, text in WRONG.items() if bits & bit) for part, bits in found.items()}
+    return {part: _words(bits) for part, bits in found.items()}
+
+
+def _words(bits: int) -> str:
+    """Say what is wrong. Feetech servos may also set bits that have no name."""
+    return " and ".join(text for bit, text in WRONG.items() if bits & bit) or WRONG[SERVO_OTHER]
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:

@@ -15,7 +15,7 @@ from failstop.board.checks import FrameError
 from failstop.board.damiao import codec, slcan
 from failstop.board.damiao.wire import WIRE
 from failstop.board.kinds import board_of
-from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Health, Restarted, Sample, Wheels
+from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, SERVO_OTHER, Answer, Health, Restarted, Sample, Wheels
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup.rig import alone
@@ -256,6 +256,7 @@ def test_one_lost_answer_names_nobody() -> None:
         (OVER_HEATED, "motor 2 switched itself off: its driver is too hot", SERVO_HEAT),
         (LOST, "motor 2 switched itself off: it heard nothing for too long", 0),
         (IS_OFF, "motor 2 is disabled, although it was enabled", 0),
+        (5, "motor 2 switched itself off: it reports fault 5", SERVO_OTHER),
     ],
 )
 def test_a_motor_that_switches_itself_off_while_it_drives_is_told_once(status: int, text: str, wrong: int) -> None:

@@ -17,6 +17,7 @@ from failstop.board.wire import (
     SERVO_HEAT,
     SERVO_LOAD,
     SERVO_MISSING,
+    SERVO_OTHER,
     SERVO_SENSOR,
     SERVO_VOLTAGE,
     Answer,
@@ -242,10 +243,12 @@ def test_what_is_wrong_with_a_servo_has_one_meaning_everywhere() -> None:
         SERVO_HEAT,
         SERVO_CURRENT,
         SERVO_LOAD,
+        SERVO_OTHER,
         SERVO_MISSING,
     )
-    rows = ((8, 0.0, 0, SERVO_HEAT | SERVO_LOAD), (3, 0.1, 30, 0), (77, 0.0, 0, SERVO_VOLTAGE))
+    rows = ((8, 0.0, 0, SERVO_HEAT | SERVO_LOAD), (3, 0.1, 30, 0), (77, 0.0, 0, SERVO_VOLTAGE), (78, 0.0, 0, 16))
     assert policy_servos.servo_faults(rows, Settings({"board.kind": "feetech"})) == {
         "rear wheel (servo 8)": "it is too hot and it is overloaded",
         "servo 77": "its supply voltage is out of range",
+        "servo 78": "it reports another fault, which its maker's tool can show",
     }

@@ -11,7 +11,7 @@ import pytest
 from failstop.board.checks import FrameError
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.vesc import codec
-from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Battery, Health, Sample, Wheels
+from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, SERVO_OTHER, Answer, Battery, Health, Sample, Wheels
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.supervisor.fit import slowest_mps
@@ -119,6 +119,15 @@ def test_a_controller_s_fault_and_temperature_are_reported(which: int) -> None:
     heat = 45 if codec.MASKS[which] & 1 else 0
     assert health.rows == ((codec.LOCAL, 0.0, heat, 0), (codec.BEHIND, 0.0, heat, SERVO_HEAT))
     assert [sample.text for sample in found if isinstance(sample, Answer)] == [str(which)]
+
+
+@pytest.mark.parametrize("fault", [3, 7, 26, 255])
+def test_a_fault_that_has_no_name_is_reported_too(fault: int) -> None:
+    """A controller releases its motor at any fault, so a fault is not over when another one takes its place."""
+    reader = PAIR.replies()
+    heard = [reader.feed(answer(0, 0, 1) + answer(0, 1, 1, fault=code)) for code in (5, fault, 0)]
+    bits = [sample.rows[-1][-1] for found in heard for sample in found if isinstance(sample, Health)]
+    assert bits[-3:] == [SERVO_HEAT, SERVO_OTHER, 0]
 
 
 def test_older_firmware_leaves_the_status_out() -> None:

@@ -33,6 +33,7 @@ from failstop.board.wire import (
     SERVO_HEAT,
     SERVO_LOAD,
     SERVO_MISSING,
+    SERVO_OTHER,
     SERVO_VOLTAGE,
     Answer,
     Health,
@@ -69,8 +70,8 @@ question it belongs to."""
 SPEED_MODE = 3
 TICK_NS = 50_000
 MOST_TICKS = 0xFFFFFFFF
-ENABLED = 1
-"""The status of a motor that obeys. 0 means that it is disabled, and all other values are faults."""
+DISABLED, ENABLED = 0, 1
+"""The status of a motor that does not obey, and of one that does. All other values are faults."""
 FAULTS = {
     8: ("its voltage is too high", SERVO_VOLTAGE),
     9: ("its voltage is too low", SERVO_VOLTAGE),
@@ -208,6 +209,13 @@ class _Motor:
         self.wrong = self.heat = self.misses = 0
 
 
+def _fault(status: int) -> tuple[str, int]:
+    """Return (what is wrong, in words; the SERVO_ bit for it) for a motor's status. A motor may have faults that are
+    not in FAULTS."""
+    known = ("", 0) if status in (DISABLED, ENABLED) else (f"it reports fault {status}", SERVO_OTHER)
+    return FAULTS.get(status, known)
+
+
 class Replies(Reader):
     """Decodes the motors' answers. A question counts as answered when every motor has answered it."""
 
@@ -253,7 +261,7 @@ class Replies(Reader):
     def _reported(self, number_: int, data: bytes) -> list[Sample]:
         motor, status = self._motors[number_], data[0] >> 4
         motor.level, motor.heat = data[3] << 4 | data[4] >> 4, data[7]
-        motor.wrong = FAULTS.get(status, ("", 0))[1]
+        why, motor.wrong = _fault(status)
         if status == ENABLED:
             motor.obeys, motor.off = True, 0
             return []
@@ -261,7 +269,6 @@ class Replies(Reader):
         if not motor.obeys or motor.off < OFF_AFTER:
             return []
         motor.obeys = motor.set = False
-        why, _ = FAULTS.get(status, ("", 0))
         off = f"switched itself off: {why}" if why else "is disabled, although it was enabled"
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 

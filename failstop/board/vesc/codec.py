@@ -28,6 +28,7 @@ from failstop.board.wire import (
     SERVO_CURRENT,
     SERVO_HEAT,
     SERVO_MISSING,
+    SERVO_OTHER,
     SERVO_VOLTAGE,
     Answer,
     Battery,
@@ -75,8 +76,10 @@ MISSES = 2
 controller answers. A question does not count if garbled bytes came after it, because they may have been the answer."""
 REPORT_EVERY = 20
 """The temperatures are reported once per this many answers, which is about once a second."""
-WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
-"""The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each."""
+WRONG = {0: 0, 1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
+"""The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each. All other
+codes are SERVO_OTHER, for example 3 for the chip that drives the transistors. The controller releases its motor at any
+fault."""
 FIRST_US, WAY_US = 1000, 1000
 """The shortest pulse of the servo output, and how much longer the longest pulse is, in us (SERVO_OUT_PULSE_ of
 conf_general.h). A position is sent in thousandths of the way from the shortest pulse to the longest."""
@@ -277,7 +280,7 @@ class Replies(Reader):
         _, _, *heat, speed, decivolts, tachometer, fault, can_id = form.unpack_from(payload)
         values = Values(float(speed) if abs(speed) >= STILL else 0.0, float(tachometer), decivolts / 10)
         one = BEHIND if bytes((can_id,)) == self._other else LOCAL
-        self._wrong[one] = WRONG.get(fault, 0)
+        self._wrong[one] = WRONG.get(fault, SERVO_OTHER)
         if mask & _HEAT:
             self._heat[one] = max(0, min(heat[0] // 10, 255))
         found = self._paired(mask, values, one)
