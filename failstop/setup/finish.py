@@ -147,7 +147,7 @@ def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) 
     """Return the text of the settings file. Its head names the robot and the result of the stand test."""
     day = time.strftime("%Y-%m-%d")
     proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
-    head = f"# {robot}. Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
+    head = f"# {robot}.\n# Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
     head += "# Every setting: failstop config --example\n\n"
     return head + toml(values)
 
