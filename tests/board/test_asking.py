@@ -13,9 +13,11 @@ import pytest
 
 from failstop.board.asking import Heard, told_of, turns
 from failstop.board.described import Described
+from failstop.board.facts import USUAL_CAN_ID
 from failstop.board.feetech import codec
 from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of, is_described, wire_of
+from failstop.board.vesc.codec import BEHIND
 from failstop.board.wire import Wire
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.feetech import Bus
@@ -305,6 +307,16 @@ def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> Non
     assert known is None
     assert text.startswith("/etc/tank can't be asked anything")
     assert "questions" in remedy
+
+
+@pytest.mark.parametrize("wanted", ["vesc", "rrc"])
+def test_a_vesc_at_the_port_that_has_the_second_one_s_usual_id_is_known(wanted: str) -> None:
+    """So that setup asks for the id of the second one."""
+    on = There("vesc", own_speed=True)
+    model: Any = on.model
+    model.receiver.motors[0].can_id, model.receiver.motors[1].can_id = USUAL_CAN_ID, 5
+    heard = on.asked(wanted)
+    assert (heard[-1].kind, heard[-1].known, heard[-1].missing) == ("vesc", False, (BEHIND,))
 
 
 @pytest.mark.parametrize("wanted", ["vesc", "rrc"])

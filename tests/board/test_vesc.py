@@ -98,6 +98,25 @@ def test_the_second_controller_is_named_when_it_leaves_two_questions_unanswered(
     assert {row[0]: row[-1] for row in back.rows} == {codec.LOCAL: 0, codec.BEHIND: 0}
 
 
+def test_a_controller_at_the_port_that_has_the_other_one_s_id_is_not_taken_for_both() -> None:
+    """The answers are its own, so the second controller is the one that is missing."""
+    reader = PAIR.replies()
+    heard = [sample for turn in range(4) for sample in reader.feed(answer(turn, 1, 1))]
+    assert kinds(heard) == ["Health"] * len(heard)
+    wrong = [row for sample in heard if isinstance(sample, Health) for row in sample.rows if row[-1]]
+    assert [(row[0], row[-1]) for row in wrong] == [(codec.BEHIND, SERVO_MISSING)]
+
+
+def test_lost_answers_of_the_controller_at_the_port_do_not_make_the_other_one_missing() -> None:
+    lost = bytearray(answer(0, 0, 1))
+    lost[7] ^= 0x5A
+    for reader, before in ((PAIR.replies(), bytes(lost)), (PAIR.replies(), b"")):
+        if not before:
+            reader.feed(answer(0, 0, 1) + answer(0, 1, 1))
+        heard = [sample for _ in range(6) for sample in reader.feed(before + answer(0, 1, 1))]
+        assert not any(row[-1] for sample in heard if isinstance(sample, Health) for row in sample.rows)
+
+
 @pytest.mark.parametrize("at", range(len(answer(0, 1, 1))))
 def test_an_answer_that_was_garbled_on_the_line_is_not_missing(at: int) -> None:
     """Noise on the line is no lost wheel. Once the line is quiet, a controller that answers nothing is missing."""

@@ -244,6 +244,10 @@ class Replies(Reader):
         """The newest answer of the controller at the port, as (mask, values). It waits here for the second controller's
         answer to the same question. None if no answer waits."""
         self._misses = 0
+        self._first_heard = False
+        """True once the controller at the port has answered."""
+        self._alone = 0
+        """How many answers with the second controller's id came before that."""
         self._garbled = False
         """True if bytes that belong to no packet came since the last answer of the controller at the port. They may
         have been the second controller's answer."""
@@ -299,13 +303,25 @@ class Replies(Reader):
         first, self._first = self._first, None
         if one == BEHIND:
             self._misses = 0
+            if not self._first_heard:
+                self._wonder()
             return self._answered(mask, first[1], values) if first and first[0] == mask else []
+        self._first_heard = True
         self._misses += first is not None and not self._garbled
         self._garbled = False
         if self._misses >= MISSES:
             self._wrong[BEHIND] = SERVO_MISSING
         self._first = mask, values
         return []
+
+    def _wonder(self) -> None:
+        """Count an answer of the second controller before the first answer of the controller at the port. The one at
+        the port passes the other's answers on, so it answers too. If it seems not to, all answers are its own: it has
+        the id that the settings give to the second controller, so the second one does not answer."""
+        self._alone += not self._garbled
+        self._garbled = False
+        if self._alone >= MISSES:
+            self._wrong[BEHIND] = SERVO_MISSING
 
     def _answered(self, mask: int, *every: Values) -> list[Sample]:
         self._answers += 1
