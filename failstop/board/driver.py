@@ -60,8 +60,8 @@ if TYPE_CHECKING:
 class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop. Unless
     `refused` is True, they also mean that the driver has ended driving. Wheels that the driver's frame does not name
-    keep the speeds commanded before. A language refuses what its board would refuse, and leaves the speed limits to the
-    service."""
+    keep the speeds commanded before, but no longer than they would at the bare board. A language refuses what its board
+    would refuse, and leaves the speed limits to the service."""
 
     speeds: Sequence[float]
     refused: bool = False

@@ -13,6 +13,7 @@ import pytest
 
 from failstop.board.driver import DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop.board.vesc import codec
+from failstop.board.vesc.driver import MOTOR_NS
 from failstop.guard.scale import Scale
 from failstop.policy.settings import Settings
 from failstop_lab.boards.vesc import Vesc, wrapped
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 HOST = Path(__file__).parent.parent / "board" / "recorded_vesc_host.json"
 BYTE_NS = 87_000
+MS = 1_000_000
 RPM, DUTY, CURRENT, BRAKE, POSITION, HANDBRAKE, SERVO, MCCONF, ALIVE, FORWARD = 8, 5, 6, 7, 9, 10, 12, 13, 30, 34
 PAIR: dict[str, object] = {"board.kind": "vesc"}
 CAR: dict[str, object] = {"board.kind": "vesc", "wheels.layout": "ackermann"}
@@ -101,6 +103,24 @@ def test_what_names_no_speed_renews_none(settings: dict[str, object]) -> None:
     for chunk in (packet(ALIVE, 0, 1), wrapped(bytes((ALIVE,))), codec.VALUES, packet(SERVO, 400, 2)):
         rows = language.wrote(chunk, 0)
         assert [row for row in rows if isinstance(row, DriverMotion) and row.renews] == [], chunk
+
+
+def test_a_speed_for_one_motor_keeps_the_other_one_no_longer_than_the_board_does() -> None:
+    """A driver may command each motor from a thread of its own, and one of them hangs."""
+    language, board = made(), Vesc()
+    found: tuple[float, ...] = ()
+    for at_ms in range(0, 2000, 50):
+        chunk = packet(RPM, 1000) + (behind(RPM, -700) if at_ms < 500 else b"")
+        for at, value in enumerate(chunk):
+            board.byte(at_ms * MS + at * BYTE_NS, value)
+        (*_, row) = language.wrote(chunk, at_ms * MS)
+        assert isinstance(row, DriverMotion)
+        board.until(at_ms * MS + 10 * MS)
+        found = tuple(row.speeds)
+        assert found[0] == board.wheels[0] == 1000
+        assert found[1] in (0, board.wheels[1])
+        assert bool(found[1]) == (at_ms < 450 + MOTOR_NS // MS)
+    assert found == board.wheels == (1000, 0)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,11 @@ A driver sets speeds in ERPM and the position of the servo, and asks for the fir
 (RoboRacer's vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on to the controller at the
 port, and the answers are passed back. A new speed leaves the servo where the driver sent it before. Only a speed keeps
 the wheels turning: a new position of the servo does not make the speed newer, and neither does ALIVE, which pyvesc
-writes from a thread of its own, even while the program's main thread hangs. A brake current sets the motor's speed to
-zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is refused, and so is a position of
-the motor or a handbrake current. The wheels then stop, because failstop can't limit the speed that would result. Bytes
-that are not a packet are skipped as the firmware skips them.
+writes from a thread of its own, even while the program's main thread hangs. For the same reason, a speed for one motor
+does not keep the other motor turning for longer than the other motor's own controller would. A brake current sets the
+motor's speed to zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is refused, and so
+is a position of the motor or a handbrake current. The wheels then stop, because failstop can't limit the speed that
+would result. Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
+MOTOR_NS = 1_000_000_000
+"""A motor that the driver has not commanded for this long, in ns, gets speed zero. It is the time after which a
+controller releases its motor, unless somebody has changed it in VESC Tool."""
 _VALUE, _PLACE = Struct(">i"), Struct(">h")
 _VERSION, _VALUES, _CURRENT, _BRAKE, _POSITION, _HANDBRAKE, _ALIVE = 0, 4, 6, 7, 9, 10, 30
 _PASSED_ON = frozenset((_VERSION, _VALUES))
@@ -49,6 +53,8 @@ class VescDriver:
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]
+        self._commanded_ns = [0] * len(self._speeds)
+        """The time of the driver's newest command for each motor, in ns."""
         self._angle_rad: float | None = None if steering is None else 0.0
         self._wrote = self._heard = b""
 
@@ -57,7 +63,7 @@ class VescDriver:
         data = self._wrote + chunk
         found = list(codec.pieces(data))
         self._wrote = data[sum(size for _, size in found) :]
-        rows = [row for payload, _ in found if payload for row in self._asked(payload, 0)]
+        rows = [row for payload, _ in found if payload for row in self._asked(payload, 0, now_ns)]
         if not all(payload for payload, _ in found):
             rows.append(_NO_PACKET)
         return rows
@@ -68,47 +74,50 @@ class VescDriver:
         found, self._heard = codec.payloads(self._heard + chunk)
         return [codec.packet(payload) for payload in found if payload[0] in _PASSED_ON]
 
-    def _asked(self, payload: bytes, motor: int) -> list[Row]:
+    def _asked(self, payload: bytes, motor: int, now_ns: int) -> list[Row]:
         command, data = payload[0], payload[1:]
         if command == codec.FORWARD and not motor:
             if self._can_id is None or len(data) < 2 or data[0] != self._can_id:
                 where = f"a packet for CAN id {data[0]}" if data else "a packet for the CAN"
                 known = "no motor on a CAN" if self._can_id is None else f"one on id {self._can_id} (board.can_id)"
                 return [DriverRefusal(where, f"failstop's settings have {known}")]
-            return self._asked(data[1:], 1)
+            return self._asked(data[1:], 1, now_ns)
         if command in _PASSED_ON:
             if motor:
                 return [DriverRefusal("a question for the second VESC", "failstop asks it itself, and passes none on")]
             question = codec.FIRMWARE if command == _VERSION else codec.VALUES
             return [DriverFrame(question, str(command), asks=True)]
         if command == codec.SERVO:
-            return self._steer(data)
+            return self._steer(data, now_ns)
         if command == _ALIVE:
             return []
         if command == _BRAKE:
-            return self._set(motor, 0.0)
+            return self._set(motor, 0.0, now_ns)
         if command in (codec.RPM, *_NO_SPEED) and len(data) >= _VALUE.size:
             (value,) = _VALUE.unpack_from(data)
             if command == codec.RPM:
-                return self._set(motor, float(value))
+                return self._set(motor, float(value), now_ns)
             if not value and command in (codec.DUTY, _CURRENT):
-                return self._set(motor, 0.0)
+                return self._set(motor, 0.0, now_ns)
             why = "its speed can't be limited, so the wheels were stopped: use a speed (SetRPM)"
             return [DriverRefusal(_NO_SPEED[command], why), *self._stopped()]
         return [DriverRefusal(f"command {command}", "failstop passes on no settings, tests or other questions")]
 
-    def _set(self, motor: int, erpm: float) -> list[Row]:
-        self._speeds[motor] = erpm
-        return [self._motion()]
+    def _set(self, motor: int, erpm: float, now_ns: int) -> list[Row]:
+        self._speeds[motor], self._commanded_ns[motor] = erpm, now_ns
+        return [self._motion(now_ns)]
 
-    def _motion(self, *, renews: bool = True) -> DriverMotion:
+    def _motion(self, now_ns: int, *, renews: bool = True) -> DriverMotion:
+        for motor, commanded_ns in enumerate(self._commanded_ns):
+            if now_ns - commanded_ns >= MOTOR_NS:
+                self._speeds[motor] = 0.0
         return DriverMotion(tuple(self._speeds), steering_rad=self._angle_rad, renews=renews)
 
     def _stopped(self) -> list[Row]:
         self._speeds = [0.0] * len(self._speeds)
         return [DriverMotion(tuple(self._speeds), refused=True, steering_rad=self._angle_rad)]
 
-    def _steer(self, data: bytes) -> list[Row]:
+    def _steer(self, data: bytes, now_ns: int) -> list[Row]:
         if self._steering is None:
             return [DriverRefusal("the servo", 'failstop steers a base with wheels.layout = "ackermann" alone')]
         if len(data) < _PLACE.size:
@@ -116,7 +125,7 @@ class VescDriver:
         centre, per_rad = self._steering
         (place,) = _PLACE.unpack_from(data)
         self._angle_rad = (max(0, min(place, codec.WAY_US)) + codec.FIRST_US - centre) / per_rad
-        return [self._motion(renews=False)] if any(self._speeds) else []
+        return [self._motion(now_ns, renews=False)] if any(self._speeds) else []
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:
