@@ -72,12 +72,13 @@ class Tap:
             return
 
     def ping(self) -> tuple[int, int]:
-        """Write the next ping to the board. Returns (index of the ping, time of its write in ns). Raises OSError."""
+        """Write the next ping to the board. Returns (index of the ping, time of its write in ns). Raises
+        BlockingIOError if the port takes no bytes, and otherwise OSError if the device is gone."""
         index = self._pings % len(self._board.pings)
-        self._pings += 1
         now_ns = time.monotonic_ns()
-        self._answers.asked(index, now_ns)
         os.write(self.fd, self._board.pings[index])
+        self._pings += 1
+        self._answers.asked(index, now_ns)
         return index, now_ns
 
     def lost(self) -> None:
@@ -93,10 +94,17 @@ class Tap:
     def answered_ms(self, timeout_s: float) -> float | None:
         """Ask the board, and return how long it took to answer, in ms. The answer proves that the board has handled
         everything that was written before the question. Answers to earlier questions don't count. Returns None if no
-        answer comes in time, or if the board has no questions. Raises OSError."""
+        answer comes in time, if the board has no questions, or if the port takes no bytes. Raises OSError if the device
+        is gone."""
         if not self._board.pings:
             return None
-        _, asked_ns = self.ping()
+        try:
+            _, asked_ns = self.ping()
+        except BlockingIOError:
+            # As long as for an answer, because callers ask again at once.
+            for _ in self._heard(timeout_s):
+                pass
+            return None
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_PONG and self.answers_ns(said, now_ns) >= asked_ns:
                 return (now_ns - asked_ns) / 1e6
