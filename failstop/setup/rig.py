@@ -226,7 +226,8 @@ class Rig:
         """Stop the wheels. Wait until the board has acknowledged the stop and reports that the wheels are stopped. If
         the board can't do one of the two, don't wait for it. Raises Left.
 
-        The wheels must still be driven, because a hoverboard acknowledges only a stop that ends motion."""
+        The wheels must still be driven, because a board without questions acknowledges only a stop that ends
+        motion."""
         assert self._robot
         epoch = self._robot.state.epoch
 
