@@ -32,6 +32,7 @@ from failstop_lab.prove.run import (
     judge_latch,
     judge_written,
     speed_up_s,
+    start_over,
 )
 from failstop_lab.prove.sight import Sight
 from failstop_lab.prove.stand import ProveStand
@@ -88,8 +89,9 @@ class ArmRun:
             self._judge_stop()
             if self._sight:
                 self._judge_wheels(self._sight)
-            self._recover()
-            self._read_back()
+            if not result.runaway:
+                self._recover()
+                self._read_back()
         except (TrialError, FailstopError, OSError) as error:
             result.doubt(f"{type(error).__name__}: {error}")
             self._start_over()
@@ -240,11 +242,5 @@ class ArmRun:
 
     def _start_over(self) -> None:
         """Everything stopped by every means, then again. An arm stands by itself when its last move ends."""
-        stand, result = self.stand, self.result
         self._end_program()
-        if not (known := stand.safe()).safe:
-            result.wrong.append(known.sentence())
-        try:
-            stand.start()
-        except (TrialError, FailstopError, OSError) as error:
-            result.over = f"the service could not be started again: {error}"
+        start_over(self.stand, self._sight, self.result)

@@ -143,7 +143,7 @@ class PathRun:
                 self._recover()
         except (TrialError, FailstopError, OSError) as error:
             result.doubt(f"{type(error).__name__}: {error}")
-            self._start_over()
+            start_over(self.stand, self.sight, result)
         result.starved = result.starved or self.stand.held.starved(begun)
         return result
 
@@ -158,24 +158,6 @@ class PathRun:
         if self._steps:
             return self._steps.perform(self._pids, self.stand.run)
         return strike(self.path, self.stand, self.ask)
-
-    def _start_over(self) -> None:
-        """After what says nothing of the wheels: stop them by every means, look, and only then begin again."""
-        stand, result = self.stand, self.result
-        stand.driver.commands = False
-        if not (known := stand.safe()).safe:
-            result.wrong.append(known.sentence())
-        stand.watch.forget()
-        verdict = self.sight.verdict(time.monotonic_ns())
-        seen = stand.watch.tap_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
-        if not seen:
-            result.wrong.append("the wheels were not seen at rest after that")
-            result.runaway = True
-            return
-        try:
-            stand.start()
-        except (TrialError, FailstopError, OSError) as error:
-            result.over = f"the service could not be started again: {error}"
 
     def _spin(self) -> None:
         stand = self.stand
@@ -315,6 +297,26 @@ class PathRun:
                 return
             if code:
                 self.result.wrong.append(f"the service ended with exit code {code}")
+
+
+def start_over(stand: ProveStand, sight: Sight | None, result: Result) -> None:
+    """After what says nothing of the wheels: stop them by every means, look, and only then begin again. `sight`: None
+    if they were not to turn."""
+    stand.driver.commands = False
+    if not (known := stand.safe()).safe:
+        result.wrong.append(known.sentence())
+    if sight:
+        stand.watch.forget()
+        verdict = sight.verdict(time.monotonic_ns())
+        seen = stand.watch.tap_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
+        if not seen:
+            result.wrong.append("the wheels were not seen at rest after that")
+            result.runaway = True
+            return
+    try:
+        stand.start()
+    except (TrialError, FailstopError, OSError) as error:
+        result.over = f"the service could not be started again: {error}"
 
 
 def speed_up_s(stand: ProveStand, velocity: Turning) -> float:
