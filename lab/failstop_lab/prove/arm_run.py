@@ -187,6 +187,8 @@ class ArmRun:
         if self.fault.what == table.HANG:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._struck, signal.SIGCONT)
+        if self._sight and self.fault.what == table.CLIENT_HANG:
+            stand.driver.robot.disable()  # else the end of the program that hangs would be a driver's death
         self._end_program()
         if self.fault.process == SUPERVISOR:
             stand.bury()

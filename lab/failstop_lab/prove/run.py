@@ -32,8 +32,9 @@ STAYS_S = 0.4
 """Rest must last for so long after it was seen."""
 BACK_S = 2.0
 WHOLE_S = 10.0
-SILENCE_CAUSES = (*held.BUSY, causes.HANGS, causes.MUTE)
-"""Causes that a process has which was not run, whatever kept it."""
+SILENCE_CAUSES = (*held.BUSY, causes.HANGS, causes.MUTE, causes.DRIVER_SILENT, causes.OPERATOR_GONE)
+"""Causes that a process has which was not run, whatever kept it: one of the service's, or this one, which drives and
+attends."""
 
 
 @dataclasses.dataclass

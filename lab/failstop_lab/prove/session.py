@@ -101,7 +101,8 @@ def _results(
     lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
     for path, velocity, chance in runs:
         asks = watcher if path.kind == FROZEN else ask
-        take = partial(_perform, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
+        wanted = path.under(stand.settings).leased(lease_s)
+        take = partial(_perform, stand, evidence.character, wanted, velocity, asks, chance)
         result = until_valid(take, spoiled)
         yield result
         if result.runaway:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from failstop import config
 from failstop.api.errors import FailstopError
+from failstop.api.robot import Robot
 from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.policy import scale
@@ -44,6 +45,9 @@ OVERRIDES: dict[str, object] = {
 }
 """Over the user's settings: so many deaths are no crash loop here, no restart waits for the deaths of earlier runs, and
 the scan gate is one of the stop paths."""
+SIM_OVERRIDES: dict[str, object] = {"battery.stop_mv": -1}
+"""On a simulated board too: its battery is not the robot's."""
+OPERATOR = "stand test"
 
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:
@@ -73,6 +77,25 @@ def _alarm(text: str) -> None:
     print(style.paint(text, style.FAIL), file=sys.stderr, flush=True)
 
 
+class Attending(Robot):
+    """The test's client on a robot that moves only for an operator (attend.required): with the interlocks, it reports
+    the person who has started the test."""
+
+    def assert_interlocks(self, *interlocks: str) -> None:
+        super().assert_interlocks(*interlocks)
+        self.attend(OPERATOR)
+
+
+class AttendingDriver(Driver):
+    """The driving client on such a robot."""
+
+    @property
+    def robot(self) -> Robot:
+        if self._robot is None:
+            self._robot = Attending(self.name, client=self._client, disable_on_exit=False)
+        return self._robot
+
+
 class ProveStand(Stand):
     """A context manager. At its end it stops the wheels, whatever happens; `outcome` is what is known then."""
 
@@ -80,7 +103,7 @@ class ProveStand(Stand):
         """`user`: the settings of the user's file; `folder`: for files of this run; `board`: the simulated one, which
         then judges too. Raises SettingError."""
         self.device = device
-        values = settings_for(user)
+        values = {**settings_for(user), **(SIM_OVERRIDES if board else {})}
         self.confirms_scale = confirms(user) > 0
         self.user: Settings = driven(user)
         self.settings: Settings = driven(values)
@@ -89,7 +112,8 @@ class ProveStand(Stand):
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
         service = Service(f"prove-{os.getpid()}", device, folder, ("--config", path))
-        driver = Driver(service.name, "prove", tuple(self.settings.interlocks()))
+        driving = AttendingDriver if self.settings.on("attend.required") else Driver
+        driver = driving(service.name, "prove", tuple(self.settings.interlocks()))
         super().__init__(service, driver, board)
         self.service.ready_s += self.language.port.deaf_ns / 1e9
         self.watch = Watch(device, self.language)

@@ -11,7 +11,8 @@ from failstop_lab.prove.table import Path
 
 PRESS_S = 20.0
 """A person has so long to press a button."""
-SIM_BUTTON = 0x0100
+SIM_BUTTONS = (0x0100, 0x0200)
+"""One of these is pressed on a simulated board: whichever is not the robot's MODE button."""
 
 Ask = Callable[[str], None]
 """Tells a person what to do."""
@@ -52,7 +53,7 @@ def _press(stand: ProveStand, ask: Ask | None) -> int:
         return any(buttons & ~ignored for _, buttons in stand.watch.buttons[known:])
 
     if stand.board:
-        stand.board.pad(buttons=SIM_BUTTON)
+        stand.board.pad(buttons=next(button for button in SIM_BUTTONS if button != ignored))
     elif ask:
         ask(f"the wheels are turning: press a button of the gamepad (not MODE) within {PRESS_S:g} s")
     if not stand.run(PRESS_S, pressed):

@@ -7,7 +7,7 @@ import dataclasses
 from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
 from failstop.policy.layouts import ACKERMANN
-from failstop.policy.settings import Settings
+from failstop.policy.settings import ANSWERS_TO_SILENCE, DEATHS, Settings
 from failstop_lab.faults import arm_table, processes
 from failstop_lab.faults.arm_table import ArmFault
 from failstop_lab.faults.fault import Fault, Wanted
@@ -63,6 +63,8 @@ ARM_ROW = "arm"
 DISABLE_MS = STOP_MS = 5.0
 WATCHDOG_MS = 500.0
 """The bar of a board's own watchdog, until the kind of board is known (means.py)."""
+_, LATCHES_DEATH, _ = DEATHS
+_, _, LATCHES_SILENCE = ANSWERS_TO_SILENCE
 LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
 """The bars of the fault table that are a lease, or a deadline that is never shorter than one."""
 
@@ -119,6 +121,17 @@ class Path:
         """The time for a service that has this lease, though its settings give none."""
         lease_ms = lease_s * 1000 + processes.SLACK_MS
         return dataclasses.replace(self, reaction_ms=max(self.reaction_ms, lease_ms)) if self.by_lease else self
+
+    def under(self, settings: Settings) -> Path:
+        """The latch on a robot with these settings, where a driver that dies or falls silent may latch a stop."""
+        # Beside the wheels, the program that moves the arm drives too. Else motion is disabled, and nothing is latched.
+        struck = self.arm.what if self.arm and self.arm.wheels_ms is not None else ""
+        silent = self.kind == TIMEOUT or struck == arm_table.CLIENT_HANG
+        if silent and settings.text("gate.driver_silence") == LATCHES_SILENCE:
+            return dataclasses.replace(self, latched=((causes.DRIVER_SILENT,),))
+        if struck == arm_table.CLIENT_KILL and settings.text("gate.driver_death") == LATCHES_DEATH:
+            return dataclasses.replace(self, latched=((causes.DRIVER_DIED,),))
+        return self
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""

@@ -8,39 +8,23 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.policy.settings import Settings
-from failstop.supervisor import status
-from failstop_lab.faults.arm import BESIDE
 from failstop_lab.prove.arm_run import ArmRun
-from failstop_lab.prove.character import characterize
 from failstop_lab.prove.session import until_valid
-from failstop_lab.prove.sight import Sight
-from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import BESIDE_PATHS, TURNINGS, plan, within
-from failstop_lab.sim.client import SimBoard
 from tests.lab.prove.judged import firm
+from tests.lab.prove.kiwi import Kiwi, beside, standing
 
 
 @pytest.fixture(scope="module")
-def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ProveStand, Sight]]:
-    """A stand whose arm may move beside its wheels, and how these show that they stand."""
-    place = tmp_path_factory.mktemp("kiwi")
-    settings = {"board.kind": "feetech", status.LEASE: status.LEASE_WITHOUT_S, **BESIDE}
-    with (
-        SimBoard(place / "board", board="feetech") as board,
-        ProveStand(board.link, settings, str(place), board) as made,
-    ):
-        yield made, characterize(made, within(made.settings)[:1], quick=True)
-
-
-def beside(kiwi: tuple[ProveStand, Sight], name: str) -> ArmRun:
-    stand, sight = kiwi
-    ((path, velocity),) = plan(quick=True, only=(name,), has_arm=True, beside=True, settings=stand.settings)
-    return ArmRun(stand, path, velocity, sight)
+def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kiwi]:
+    """A stand that every test leaves whole."""
+    with standing(tmp_path_factory.mktemp("kiwi")) as made:
+        yield made
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm-client-killed", "arm-kill-gate", "arm-stop-request"])
-def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name: str) -> None:
+def test_beside_the_wheels_both_are_judged(kiwi: Kiwi, name: str) -> None:
     result = until_valid(lambda: beside(kiwi, name).perform(), lambda _: None)
     assert firm(result.wrong) == []
     assert result.arm is not None
@@ -49,7 +33,7 @@ def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name:
 
 
 @pytest.mark.slow
-def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_servo_that_lets_go_fails(kiwi: Kiwi, monkeypatch: pytest.MonkeyPatch) -> None:
     run = beside(kiwi, "arm-stop-request")
     board = run.stand.board
     assert board
@@ -58,7 +42,7 @@ def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch:
 
 
 @pytest.mark.slow
-def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sight]) -> None:
+def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: Kiwi) -> None:
     stand, sight = kiwi
     ((path, velocity),) = plan(
         quick=True, only=("arm-stop-request",), has_arm=True, beside=True, settings=stand.settings
@@ -71,7 +55,7 @@ def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sig
 
 
 @pytest.mark.slow
-def test_wheels_that_nobody_sees_at_rest_after_a_failed_run_end_the_test(kiwi: tuple[ProveStand, Sight]) -> None:
+def test_wheels_that_nobody_sees_at_rest_after_a_failed_run_end_the_test(kiwi: Kiwi) -> None:
     stand, sight = kiwi
     board = stand.board
     assert board

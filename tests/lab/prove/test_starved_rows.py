@@ -141,6 +141,8 @@ def test_a_run_that_is_in_time_to_the_last_moment_is_right() -> None:
         (causes.HANGS("supervisor", 60), "held", "INVALID"),
         (causes.STARVED("gate", 260), "", "INVALID"),
         (causes.HELD_UP(300), "", "INVALID"),
+        (causes.OPERATOR_GONE("stand test", "was not heard for 1200 ms"), "", "FAIL"),
+        (causes.OPERATOR_GONE("stand test", "was not heard for 1200 ms"), "held", "INVALID"),
         (causes.DIED("gate"), "held", "FAIL"),
         (None, "held", "FAIL"),
     ],

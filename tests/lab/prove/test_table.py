@@ -7,12 +7,25 @@ import dataclasses
 import pytest
 
 from failstop.messages.layout import PROCESS_NAMES
+from failstop.policy import causes
 from failstop.policy.settings import Settings
+from failstop_lab.faults.fault import Wanted
 from failstop_lab.prove import report, table
 from failstop_lab.prove.report import Evidence
 from failstop_lab.prove.run import Result
 from failstop_lab.prove.stand import settings_for
-from failstop_lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan, within
+from failstop_lab.prove.table import (
+    ARM_PATHS,
+    BESIDE_PATHS,
+    BY_PATH,
+    BY_TURNING,
+    PATHS,
+    QUICK_NAMES,
+    TURNINGS,
+    Path,
+    plan,
+    within,
+)
 from tests.lab.prove.noise import SIMULATED, gyro
 
 
@@ -66,6 +79,31 @@ def test_plans() -> None:
     assert {path.name for path, _ in quick} == set(QUICK_NAMES)
     assert {velocity for _, velocity in quick} == set(TURNINGS)
     assert plan(quick=False, only=("scan",), at=("turn",), settings=FAST) == [(BY_PATH["scan"], BY_TURNING["turn"])]
+
+
+STRICT = Settings({"gate.driver_silence": "latch", "gate.driver_death": "latch"})
+BESIDE = {path.name: path for path in BESIDE_PATHS}
+
+
+@pytest.mark.parametrize(
+    ("path", "latched"),
+    [
+        (BY_PATH["timeout"], ((causes.DRIVER_SILENT,),)),
+        (BESIDE["arm-client-hung"], ((causes.DRIVER_SILENT,),)),
+        (BESIDE["arm-client-killed"], ((causes.DRIVER_DIED,),)),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_a_robot_that_latches_for_its_driver_has_to(path: Path, latched: tuple[Wanted, ...]) -> None:
+    assert path.under(Settings()).latched == ()
+    assert path.under(STRICT).latched == latched
+    assert path.under(Settings({"gate.driver_silence": "disable", "gate.driver_death": "stay"})).latched == ()
+
+
+def test_no_other_path_is_about_the_driver() -> None:
+    about = {BY_PATH["timeout"], BESIDE["arm-client-hung"], BESIDE["arm-client-killed"]}
+    for path in {*PATHS, *ARM_PATHS, *BESIDE_PATHS} - about:
+        assert path.under(STRICT) is path
 
 
 def result(**changed: object) -> Result:
