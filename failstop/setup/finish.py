@@ -100,9 +100,11 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         halt.now(0.0 if code >= 0 else WAITS_S)
         raise KeyboardInterrupt
     for run in sorted(_runs(folder) - before):
-        with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
-            found: dict[str, Any] = json.load(file)
-        return found
+        # A disk that is full or broken may have left no result, or half of one.
+        with contextlib.suppress(OSError, ValueError):
+            with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
+                found: dict[str, Any] = json.load(file)
+            return found
     if code == Refused.exit_code and not agreed:
         return {}
     return {"passed": False, "verdict": NO_RESULT}

@@ -141,6 +141,21 @@ def test_a_stand_test_that_never_began_did_not_pass(code: int, tmp_path: Path, m
     assert "Stand test: no result." in finish.text({}, "A robot", found)
 
 
+class Broken(Runs):
+    """The disk became full while it saved its result."""
+
+    def run(self, words: Sequence[str], said: str | None) -> tuple[int, bool]:
+        found = super().run(words, said)
+        for path in Path(words[words.index("--out") + 1]).glob(f"*/{finish.RESULT}"):
+            path.write_text(path.read_text()[:-1])
+        return found
+
+
+def test_a_stand_test_that_left_half_a_result_did_not_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = proved(tmp_path, Broken((0, "PASS")), monkeypatch, prove="yes", unproved="yes")
+    assert (found["passed"], found["verdict"]) == (False, finish.NO_RESULT)
+
+
 def test_whoever_leaves_out_the_second_test_after_a_failed_one_is_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import json
 from collections.abc import Mapping
 from typing import TypeVar
 
@@ -23,6 +24,16 @@ def matching(only: str | None, known: Mapping[str, T], missing: str) -> list[T]:
             raise FailstopError(missing.format(repr(pattern)))
         found.update(names)
     return [value for name, value in known.items() if name in found]
+
+
+def write_json(path: str, found: object) -> None:
+    """At the end: the result, for programs. Raises FailstopError, because an OSError of a full disk would be taken for
+    one of standard output."""
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            json.dump(found, file, indent=1)
+    except OSError as error:
+        raise FailstopError(f"--json {path} could not be written: {error.strerror}") from None
 
 
 def check_json(path: str | None) -> None:

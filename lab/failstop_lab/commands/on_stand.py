@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.cli import style
 from failstop.files.instance import DEFAULT_NAME
 from failstop.setup.ending import interruptible
-from failstop_lab.commands import check_json, matching
+from failstop_lab.commands import check_json, matching, write_json
 from failstop_lab.prove import random_runs, report
 from failstop_lab.prove.random_runs import Draw
 from failstop_lab.prove.session import check_free, session
@@ -49,8 +48,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
         evidence = session(draws, velocities, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)
     print("\n" + "\n".join([*random_runs.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
     if arguments.json:
-        with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"seed": seed, **evidence.as_dict()}, file, indent=1)
+        write_json(arguments.json, {"seed": seed, **evidence.as_dict()})
     print(f"to repeat it: the same options and --seed {seed}", file=sys.stderr)
     return evidence.exit_code
 

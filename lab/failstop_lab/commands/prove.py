@@ -9,6 +9,7 @@ import random
 import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
 from typing import Any
 
 from failstop import config
@@ -19,9 +20,10 @@ from failstop.cli.commands import add_name
 from failstop.files.root import state_directory
 from failstop.setup.ending import interruptible
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.prove import pack, report, table
+from failstop_lab.prove import pack, report, saving, table
 from failstop_lab.prove.means import means_of
 from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.saving import Save
 from failstop_lab.prove.session import check_free, session
 from failstop_lab.prove.stand import ProveStand, driven, settings_for
 from failstop_lab.prove.swing import REACH_RAD
@@ -89,13 +91,16 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
+    """Run the stand test; exit code 1 when anything failed or the evidence could not be saved, 2 without consent."""
     if arguments.check:
         print(pack.verified(arguments.check))
         return 0
     if arguments.pack and not arguments.pack.endswith(".html"):
         raise FailstopError(f"--pack {arguments.pack}: the name must end in .html")
+    if arguments.key and not arguments.pack:
+        raise FailstopError("--key goes with --pack")
     only, at = _words(arguments)
+    _check_places(arguments)
     if arguments.board and not arguments.sim:
         raise FailstopError("--board goes with --sim; the kind of a real board is the setting board.kind")
     say = (lambda _: None) if arguments.json else report.print_now
@@ -125,8 +130,14 @@ def main(arguments: Namespace) -> int:
             plan, has_arm = _plan(arguments, user, only, at)
             _ask_consent(device, plan, has_arm=has_arm)
             evidence = run_session(device, user, plan)
-    _show(arguments, evidence)
-    return evidence.exit_code
+    # Before the result is printed, because standard output may be full or closed.
+    paths, failed = saving.save_each(_saves(arguments, evidence))
+    try:
+        _show(arguments, evidence)
+    finally:
+        for line in (*(f"evidence: {path}" for path in paths), *(style.paint(why, style.FAIL) for why in failed)):
+            print(line, file=sys.stderr)
+    return evidence.exit_code or int(bool(failed))
 
 
 def _plan(
@@ -178,14 +189,29 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
         verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
         report.print_now("\n" + "\n".join(lines))
+
+
+def _folder(arguments: Namespace) -> str:
+    """Below it every test has a folder of its own. Empty: the files of a simulated run are not kept."""
+    if arguments.sim or arguments.out:
+        return arguments.out or ""
+    return os.path.join(state_directory(arguments.name, os.environ), PROVE_FOLDER)
+
+
+def _check_places(arguments: Namespace) -> None:
+    """Before anything moves: the evidence can be saved when the test ends. Raises FailstopError."""
+    if (folder := _folder(arguments)) and (why := saving.unwritable(folder)):
+        raise FailstopError(f"the evidence can't be saved in {folder}: {why}; choose another folder with --out")
     if arguments.pack:
-        for path in pack.save(record_of(evidence), arguments.pack, arguments.key):
-            print(f"evidence: {path}", file=sys.stderr)
-    if evidence.simulated and not arguments.out:
-        return
-    folder = arguments.out or os.path.join(state_directory(arguments.name, os.environ), PROVE_FOLDER)
-    for path in report.save(evidence, folder):
-        print(f"evidence: {path}", file=sys.stderr)
+        pack.check_place(arguments.pack, arguments.key)
+
+
+def _saves(arguments: Namespace, evidence: Evidence) -> Iterator[Save]:
+    """The dated folder first, because it has the samples too, and its files need no key."""
+    if folder := _folder(arguments):
+        yield folder, lambda: report.save(evidence, folder)
+    if arguments.pack:
+        yield arguments.pack, lambda: pack.save(record_of(evidence), arguments.pack, arguments.key)
 
 
 def record_of(evidence: Evidence) -> dict[str, Any]:

@@ -19,9 +19,13 @@ from failstop.api.errors import FailstopError
 from failstop.api.words import printable
 from failstop.files import durable
 from failstop_lab.case.assumptions import ASSUMPTIONS
+from failstop_lab.prove import saving
 
 NAMESPACE = "failstop"
 """The purpose that a signature is bound to."""
+SIGN = ("-Y", "sign", "-n", NAMESPACE)
+SIGNS_S = 60.0
+"""How long ssh-keygen may take. It may ask a person for a passphrase."""
 LONGEST_PACK = 64_000_000
 """Bytes. The page of no stand test is as long."""
 RECORD = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
@@ -124,18 +128,39 @@ def _row(row: dict[str, Any]) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
+def check_place(path: str, key: str | None = None, waits_s: float = SIGNS_S) -> None:
+    """Before anything moves: a pack can be written to this path, and signed with this OpenSSH key. Whether it can is
+    tried out, which may ask a person for the key's passphrase. Raises FailstopError."""
+    folder = os.path.dirname(path) or "."
+    if not os.path.isdir(folder):
+        raise FailstopError(f"--pack {path}: there is no folder {folder}")
+    if why := saving.unwritable(folder):
+        raise FailstopError(f"--pack {path}: {why}")
+    for file in _files(path):
+        try:
+            durable.check_replaceable(file)
+        except OSError as error:
+            raise FailstopError(f"--pack {path}: {file}: {error.strerror}") from None
+    if key:
+        _openssh([*SIGN, "-f", key], f"--key {key}: nothing can be signed with it", b"failstop", waits_s)
+
+
 def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]:
     """Write the page and, beside it, the record; sign the page with an OpenSSH key. Returns the paths. Raises OSError,
     and FailstopError where it can't be signed."""
-    beside = f"{os.path.splitext(path)[0]}.json"
-    Path(path).write_text(page(record), "utf-8")
-    Path(beside).write_text(canonical(record) + "\n", "utf-8")
+    page_path, beside, signature = _files(path)
+    saving.write(page_path, page(record))
+    saving.write(beside, canonical(record) + "\n")
     if not key:
         return [path, beside]
-    signature = f"{path}.sig"
     Path(signature).unlink(missing_ok=True)
-    _openssh(["-Y", "sign", "-f", key, "-n", NAMESPACE, path], f"{path} can't be signed with {key}")
+    _openssh([*SIGN, "-f", key, path], f"{path} is written, but can't be signed with {key}")
     return [path, beside, signature]
+
+
+def _files(path: str) -> tuple[str, str, str]:
+    """The page, its record and its signature."""
+    return path, f"{os.path.splitext(path)[0]}.json", f"{path}.sig"
 
 
 def verified(path: str) -> str:
@@ -176,14 +201,18 @@ def _read(path: str) -> bytes:
     return data
 
 
-def _openssh(arguments: list[str], failed: str, data: bytes | None = None) -> str:
+def _openssh(arguments: list[str], failed: str, data: bytes | None = None, waits_s: float = SIGNS_S) -> str:
     try:
         done = subprocess.run(
             ["ssh-keygen", *arguments], input=data, stdin=None if data else subprocess.DEVNULL, capture_output=True,
-            check=False, timeout=60,
+            check=False, timeout=waits_s,
         )  # fmt: skip
     except FileNotFoundError:
         raise FailstopError(f"{failed}: ssh-keygen is not installed (package openssh-client)") from None
+    except subprocess.TimeoutExpired:
+        raise FailstopError(
+            f"{failed}: ssh-keygen did not end within {waits_s:g} s; if it asks for a passphrase, answer it in time"
+        ) from None
     if done.returncode:
         raise FailstopError(f"{failed}: {_printable(done.stderr or done.stdout)}")
     return _printable(done.stdout)

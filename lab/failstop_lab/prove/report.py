@@ -20,6 +20,7 @@ from failstop.doctor.machine import facts
 from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.settings import Settings
 from failstop.supervisor.status import cost
+from failstop_lab.prove import saving
 from failstop_lab.prove.held import repeat
 from failstop_lab.prove.means import Means
 from failstop_lab.prove.run import Result
@@ -267,14 +268,13 @@ def text(evidence: Evidence) -> str:
 
 
 def save(evidence: Evidence, folder: str) -> list[str]:
-    """Write the files into a new dated folder below this one; returns their paths. Raises OSError."""
+    """Write the files into a new dated folder below this one; returns their paths. The result comes first, and never
+    as half a file, because `failstop setup` reads it. Raises OSError."""
     stamp = time.strftime("%Y-%m-%dT%H%M%SZ", time.gmtime(evidence.begun_unix_s))
     place = _new_folder(os.path.join(folder, stamp))
     paths = [os.path.join(place, name) for name in ("report.txt", "result.json")]
-    with open(paths[0], "w", encoding="utf-8") as file:
-        file.write(text(evidence))
-    with open(paths[1], "w", encoding="utf-8") as file:
-        json.dump(evidence.as_dict(), file, indent=1)
+    saving.write(paths[1], json.dumps(evidence.as_dict(), indent=1))
+    saving.write(paths[0], text(evidence))
     shaken = isinstance(evidence.character, ByImu)
     picture = os.path.join(place, "gyro.png")
     return [*paths, picture] if shaken and _draw(evidence.results, picture) else paths

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
+import resource
 import shutil
 import subprocess
 from pathlib import Path
@@ -16,10 +18,13 @@ from failstop.api.errors import FailstopError
 from failstop.cli.main import main
 from failstop.policy.settings import Settings
 from failstop_lab.commands.prove import record_of
-from failstop_lab.prove import pack
+from failstop_lab.prove import pack, report, saving
 from failstop_lab.prove.report import Evidence
 from failstop_lab.prove.run import Result
 from failstop_lab.prove.table import BY_PATH, BY_TURNING
+from tests.support.commands import FAILSTOP
+
+LIMIT_S = 120
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +116,89 @@ def test_a_signature_is_of_this_page(record: dict[str, Any], tmp_path: Path) -> 
     pack.save({**record, "verdict": "FAIL"}, path)
     with pytest.raises(FailstopError, match=r"\.sig does not belong to this file"):
         pack.verified(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--pack", "{}/new/e.html"), "--pack {0}/new/e.html: there is no folder {0}/new"),
+        (("--pack", "{}/e.html"), "--pack {0}/e.html: {0}/e.json: a directory, not a regular file"),
+        (("--pack", "{}/a.html", "--key", "{}/none"), "--key {0}/none: nothing can be signed with it"),
+        (("--key", "{}/none"), "--key goes with --pack"),
+        (("--out", "{}/file/new"), "the evidence can't be saved in {0}/file/new: {0}/file is not a folder"),
+    ],
+)
+def test_what_can_not_be_saved_is_told_before_anything_moves(
+    words: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "e.json").mkdir()
+    (tmp_path / "file").touch()
+    assert main(["prove", "--sim", *(word.format(tmp_path) for word in words)]) == 1
+    assert told.format(tmp_path) in capsys.readouterr().err
+
+
+def test_a_key_whose_passphrase_nobody_types_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(tmp_path, "exec tail -f /dev/null", monkeypatch)
+    with pytest.raises(FailstopError, match=r"did not end within 0\.1 s; if it asks for a passphrase"):
+        pack.check_place(str(tmp_path / "e.html"), "key", 0.1)
+
+
+def program(place: Path, does: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An ssh-keygen that does this."""
+    path = place / "ssh-keygen"
+    path.write_text(f"#!/bin/sh\n{does}\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{place}:{os.environ['PATH']}")
+
+
+def test_what_can_be_saved_is(tmp_path: Path) -> None:
+    """A file that is too large stands for a full disk."""
+    row = Result(BY_PATH["stop-request"], BY_TURNING["0.2"], simulated=True)
+    evidence = Evidence("/dev/any", simulated=True, realtime=True, results=[row])
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        full = [(str(tmp_path), lambda: report.save(evidence, str(tmp_path)))]
+        assert saving.save_each(full) == (
+            [],
+            [f"the evidence could not be saved: {tmp_path}: {os.strerror(errno.EFBIG)}"],
+        )
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [], "no half result, which a setup would read"
+
+    def fails() -> list[str]:
+        raise FailstopError("no key")
+
+    paths, failed = saving.save_each([("e.html", fails), *full])
+    assert [Path(path).name for path in paths] == ["report.txt", "result.json"]
+    assert failed == ["the evidence could not be saved: no key"]
+
+
+SIGNS_ONCE = """\
+[ -e "$0.used" ] && exit 1
+: > "$0.used"
+"""
+
+
+@pytest.mark.slow
+def test_a_signature_that_fails_at_the_end_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Standard output is full, too."""
+    program(tmp_path, SIGNS_ONCE, monkeypatch)
+    out, page = tmp_path / "out", tmp_path / "e.html"
+    words = ("--sim", "--json", "--only", "disable", "--at", "0.2", "--out", str(out), "--pack", str(page))
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [*FAILSTOP, "prove", *words, "--key", "any"],
+            stdout=full, stderr=subprocess.PIPE, text=True, timeout=LIMIT_S, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    (result,) = out.glob("*/result.json")
+    assert [row["path"] for row in json.loads(result.read_text())["rows"]] == ["disable"]
+    assert page.read_text() == pack.page(json.loads(page.with_suffix(".json").read_text()))
+    assert f"evidence: {result}\n" in done.stderr
+    assert f"the evidence could not be saved: {page} is written, but can't be signed with any" in done.stderr
+    assert "standard output can't be written" in done.stderr
 
 
 def test_a_key_that_is_none_is_told(record: dict[str, Any], tmp_path: Path) -> None:
