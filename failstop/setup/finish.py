@@ -84,7 +84,7 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         return {}
     if talk.silent and not agreed:
         raise Left("there is no terminal to ask you at: give --prove yes, or --prove no")
-    talk.say("failstop tests every stop path once on the robot, which must still be on its stand.")
+    talk.say("failstop tests each of the main stop paths once on the robot, which must still be on its stand.")
     folder = os.path.join(state_directory(name, os.environ), "prove")
     before = _runs(folder)
     with tempfile.TemporaryDirectory(prefix="failstop-setup-") as place:
@@ -240,10 +240,14 @@ def closing(
         talk.warn("Nothing yet.", fix=_prove(path, name))
     else:
         passed = sum(row["verdict"] == "PASS" for row in rows)
-        talk.say(f"{passed} of {len(rows)} stop paths, on this robot with its wheels off the ground.", style.OK)
+        talk.say(
+            f"{passed} of the {len(rows)} tests of the main stop paths, on this robot with its wheels off the ground.",
+            style.OK,
+        )
         if any(row["path"] == FROZEN and row["verdict"] == "PASS" for row in rows):
             talk.say("The board's own watchdog stopped the wheels while the whole service was frozen.", style.OK)
-    failed = {row["path"]: row["verdict"] for row in rows if row["verdict"] != "PASS"}
+    # The evidence names the skipped ones as not proved, with the reason.
+    failed = {row["path"]: row["verdict"] for row in rows if row["verdict"] not in ("PASS", "SKIP")}
     for path_, verdict in failed.items():
         talk.say(f"not proved: {path_} (the stand test ended with {verdict})", style.WARN)
     for reason in (*evidence.get("unproved", ()), "stops on the ground, where wheels take longer to stop"):

@@ -394,11 +394,12 @@ def made_up() -> Iterator[bytes]:
 
 PROVED = {
     **dict.fromkeys(("verdict", "begun", "version", "code_sha256", "settings_sha256", "machine", "kernel"), "x"),
-    **dict.fromkeys(("python", "board", "device", "can_not", "ended", "simulated", "realtime"), "x"),
+    **dict.fromkeys(("python", "board", "device", "can_not", "ended", "simulated", "realtime", "covers"), "x"),
+    "complete": False,
     "cores": 2,
     "distances": ["0.1 m"],
     "unproved": ["x"],
-    "rows": [{key: 1.5 for key, _ in pack.COLUMNS}],
+    "rows": [{**{key: 1.5 for key, _ in pack.COLUMNS}, "wrong": ["x"], "skipped": "", "starved": ""}],
     "settings": {"gate.lease_s": 0.06},
 }
 

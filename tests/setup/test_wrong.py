@@ -400,7 +400,7 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     rows = [{"path": path, "verdict": verdict} for path, verdict in (("scan", "PASS"), ("kill-gate", "INVALID"))]
     finish.closing(talk(place), "/x/s.toml", "left", {"rows": rows, "unproved": ["pad: this board has no gamepad"]})
     said = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 stop paths, on this robot with its wheels off the ground" in said
+    assert "1 of the 2 tests of the main stop paths, on this robot with its wheels off the ground" in said
     assert (
         "not proved: kill-gate (the stand test ended with INVALID) not proved: pad: this board has no gamepad" in said
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -105,12 +106,14 @@ def main(arguments: Namespace) -> int:
         raise FailstopError("--board goes with --sim; the kind of a real board is the setting board.kind")
     say = (lambda _: None) if arguments.json else report.print_now
 
-    def run_session(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
+    def run_session(device: str, user: dict[str, object], plans: Plans, board: SimBoard | None = None) -> Evidence:
+        plan = plans.chosen
         velocities = list(dict.fromkeys(velocity for _, velocity in plan if velocity != SWINGING))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
         stand = ProveStand(device, user, folder, board)
-        return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask, watcher=watcher)
+        found = session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask, watcher=watcher)
+        return dataclasses.replace(found, whole=plans.whole)
 
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-", ignore_cleanup_errors=True) as folder:
         if arguments.sim:
@@ -118,18 +121,18 @@ def main(arguments: Namespace) -> int:
             user = config.read(arguments.config)
             if arguments.board:
                 user = {**traits_of(arguments.board).settings, **user, "board.kind": arguments.board}
-            plan, _ = _plan(arguments, user, only, at)
+            plans = _plans(arguments, user, only, at)
             imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
             with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:
-                evidence = run_session(link, user, plan, board)
+                evidence = run_session(link, user, plans, board)
         else:
             path = config.chosen(arguments.name, arguments.config)
             device = arguments.device or config.load(path).text("device.path")
             check_free(device, arguments.name)
             user = config.read(path)
-            plan, has_arm = _plan(arguments, user, only, at)
-            _ask_consent(device, plan, has_arm=has_arm)
-            evidence = run_session(device, user, plan)
+            plans = _plans(arguments, user, only, at)
+            _ask_consent(device, plans)
+            evidence = run_session(device, user, plans)
     # Before the result is printed, because standard output may be full or closed.
     paths, failed = saving.save_each(_saves(arguments, evidence))
     try:
@@ -140,21 +143,33 @@ def main(arguments: Namespace) -> int:
     return evidence.exit_code or int(bool(failed))
 
 
-def _plan(
-    arguments: Namespace, user: dict[str, object], only: tuple[str, ...], at: tuple[str, ...]
-) -> tuple[Plan, bool]:
-    """The runs that this robot can have, in order, and whether its arm moves. Raises FailstopError where there are
-    none, SettingError."""
+@dataclasses.dataclass(frozen=True)
+class Plans:
+    """The runs that this robot can have, in order."""
+
+    chosen: Plan
+    whole: Plan
+    """All of them, also those that the options leave out."""
+    has_arm: bool
+    """Its arm moves."""
+
+
+def _plans(arguments: Namespace, user: dict[str, object], only: tuple[str, ...], at: tuple[str, ...]) -> Plans:
+    """Raises FailstopError where there are no runs, SettingError."""
     settings = driven(settings_for(user))
     has_arm, board = bool(settings.servos()), board_of(*settings.board())
     means = means_of(settings.text("board.kind"), board, imu=settings.on("board.imu"))
     beside = bool(board.arm and board.arm.beside_wheels)
     plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=beside, settings=settings)
-    fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
+    everything = table.plan(quick=False, has_arm=has_arm, beside=beside, settings=settings)
+    fitted, whole = (
+        [(means.fitted(path), velocity) for path, velocity in runs if not means.lacks(path)]
+        for runs in (plan, everything)
+    )
     if not fitted:
         why = {means.lacks(path) for path, _ in plan} or {"it needs an arm, and the settings have no joints"}
         raise FailstopError(f"nothing to test of {', '.join(only)}: {'; '.join(sorted(why))}")
-    return fitted, has_arm
+    return Plans(fitted, whole, has_arm)
 
 
 def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -172,9 +187,10 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return chosen[0], chosen[1]
 
 
-def _ask_consent(device: str, plan: Plan, *, has_arm: bool) -> None:
+def _ask_consent(device: str, plans: Plans) -> None:
+    plan = plans.chosen
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
-    arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
+    arm = ARM_WARNING.format(reach=REACH_RAD) if plans.has_arm else ""
     minutes = max(1.0, len(plan) * RUN_S / 60)
     text = SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, device=device, word=WORD, arm=arm)
     style.warn(text, end=" ")

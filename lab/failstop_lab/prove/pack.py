@@ -44,7 +44,8 @@ STYLE = """\
 body{font:16px/1.45 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a;background:#fff}
 h1{font-size:1.6rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .4rem}
 .verdict{display:inline-block;padding:.3rem .8rem;border-radius:.3rem;color:#fff;font-weight:700;background:#b00020}
-.PASS .verdict{background:#1b6e3c}table{border-collapse:collapse;width:100%;font-size:.88rem}
+.PASS .verdict{background:#1b6e3c}.PASS.part .verdict{background:#7a5200}
+table{border-collapse:collapse;width:100%;font-size:.88rem}
 th,td{text-align:left;padding:.3rem .5rem;border-bottom:1px solid #ddd;vertical-align:top}
 td.n{text-align:right;font-variant-numeric:tabular-nums}code{overflow-wrap:anywhere;font-size:.85rem}
 .wide{overflow-x:auto}@media print{body{margin:0}}
@@ -80,6 +81,8 @@ def page(record: dict[str, Any]) -> str:
     data = canonical(record)
     digest = hashlib.sha256(data.encode()).hexdigest()
     verdict = html.escape(str(record["verdict"]))
+    headline = html.escape(_headline(record))
+    question = "Does a SIMULATED robot stop?" if record["simulated"] else "Does this robot stop?"
     machine = f"{record['machine']}, {record['cores']} cores, kernel {record['kernel']}, Python {record['python']}"
     facts = [
         ("when", record["begun"]), ("failstop", record["version"]), ("code", record["code_sha256"]),
@@ -90,12 +93,14 @@ def page(record: dict[str, Any]) -> str:
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width">',
-        f"<title>failstop prove: {verdict}</title><style>{STYLE}</style></head>",
-        f'<body class="{verdict}"><h1>Does this robot stop?</h1><p class="verdict">{verdict}</p>',
+        f"<title>failstop prove: {headline}</title><style>{STYLE}</style></head>",
+        f'<body class="{verdict}{"" if record["complete"] else " part"}"><h1>{question}</h1>',
+        f'<p class="verdict">{headline}</p>',
         _paragraphs([record["ended"]] if record["ended"] else []),
         "<table>", *(f"<tr><th>{name}</th><td>{_code(value)}</td></tr>" for name, value in facts), "</table>",
         "<h2>Stopping distance</h2>", _paragraphs(record["distances"]),
-        "<h2>Every run</h2><div class=wide><table><tr>", *(f"<th>{head}</th>" for _, head in COLUMNS), "</tr>",
+        "<h2>Every run</h2><div class=wide><table><tr>", *(f"<th>{head}</th>" for _, head in COLUMNS),
+        "<th>why</th></tr>",
         *(_row(row) for row in record["rows"]), "</table></div>",
         "<h2>Not proved here</h2>", _paragraphs([*record["unproved"], record["can_not"]]),
         "<h2>Assumptions</h2><table>",
@@ -108,6 +113,11 @@ def page(record: dict[str, Any]) -> str:
         '<script type="application/json" id="record">', data.replace("<", "\\u003c"), "</script></body></html>\n",
     ]  # fmt: skip
     return "".join(parts)
+
+
+def _headline(record: dict[str, Any]) -> str:
+    """The verdict, never without what it is about."""
+    return ": ".join(filter(None, (str(record["verdict"]), str(record["covers"]))))
 
 
 def _paragraphs(lines: list[str]) -> str:
@@ -125,7 +135,8 @@ def _row(row: dict[str, Any]) -> str:
         value = row[key]
         text = "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
         cells.append(f"<td{' class=n' if isinstance(value, float) else ''}>{html.escape(text)}</td>")
-    return f"<tr>{''.join(cells)}</tr>"
+    reasons = [row["starved"], *row["wrong"]] if row["verdict"] == "INVALID" else row["wrong"] or [row["skipped"]]
+    return f"<tr>{''.join(cells)}<td>{html.escape('; '.join(reasons))}</td></tr>"
 
 
 def check_place(path: str, key: str | None = None, waits_s: float = SIGNS_S) -> None:
@@ -181,7 +192,7 @@ def verified(path: str) -> str:
             f"{path} was changed, or was made by another version of failstop: the page does not match its record"
         )
     digest = hashlib.sha256(canonical(record).encode()).hexdigest()
-    told = printable(f"{record['verdict']}, {record['begun']}, failstop {record['version']}")
+    told = printable(f"{_headline(record)}; {record['begun']}, failstop {record['version']}")
     words = f"{told}\nrecord {digest}: unchanged"
     if not os.path.exists(f"{path}.sig"):
         return f"{words}\nno signature, so anyone may have made this file"

@@ -25,7 +25,7 @@ from failstop_lab.prove.held import repeat
 from failstop_lab.prove.means import Means
 from failstop_lab.prove.run import Result
 from failstop_lab.prove.sight import ByImu, Sight
-from failstop_lab.prove.table import FROZEN
+from failstop_lab.prove.table import FROZEN, Path, Turning
 
 CAN_NOT = (
     "This result covers only what was tested here: this robot, this battery, wheels off the ground. On the ground the "
@@ -63,6 +63,8 @@ class Evidence:
     """What is known of the wheels at its end; None: they are a simulated board's, or were never to turn."""
     user: Settings | None = None
     """The robot's own; None: nothing is said of distances."""
+    whole: Sequence[tuple[Path, Turning]] = ()
+    """Every run that the whole test of this robot has; empty: it is not known, and nothing is said of a part."""
 
     @property
     def blind(self) -> bool:
@@ -98,6 +100,42 @@ class Evidence:
         return "INVALID" if doubtful and not (self.failed or unsafe) else "FAIL"
 
     @property
+    def tested(self) -> set[tuple[str, str]]:
+        """The names of the paths and velocities that something is known of."""
+        return {(row.path.name, row.velocity.name) for row in self.results if row.verdict in ("PASS", "FAIL")}
+
+    @property
+    def untested(self) -> list[str]:
+        """For people: what the whole test has and nothing is known of, the paths with the same reason together."""
+        spoiled = {row.path.name: "invalid, so nothing is known" for row in self.results if row.verdict == "INVALID"}
+        spoiled |= {row.path.name: f"skipped ({row.skipped})" for row in self.results if row.skipped}
+        paths = {path for path, _ in self.tested}
+        missing: dict[str, list[str]] = {}
+        for path, velocity in self.whole:
+            if (path.name, velocity.name) not in self.tested:
+                missing.setdefault(path.name, []).append(velocity.words)
+        reasons: dict[str, list[str]] = {}
+        for name, at in missing.items():
+            elsewhere = f"not tested at {' or '.join(at)}" if name in paths else "not tested here"
+            reasons.setdefault(spoiled.get(name, elsewhere), []).append(name)
+        return [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
+
+    @property
+    def covers(self) -> str:
+        """For people: the part of the whole test that the verdict is about, and a board that is not the robot's; empty:
+        it is not known."""
+        whole, tested = {path.name for path, _ in self.whole}, {path for path, _ in self.tested}
+        found = [f"{len(whole & tested)} of {len(whole)} stop paths"] if whole else []
+        runs = [(path.name, velocity.name) for path, velocity in self.whole if path.name in tested]
+        found += [] if self.tested.issuperset(runs) else ["not each at every speed"]
+        return ", ".join([*found, *(["on a SIMULATED board"] if self.simulated else [])])
+
+    @property
+    def complete(self) -> bool:
+        """It was the whole test, of a robot."""
+        return bool(self.whole) and not self.untested and not self.simulated
+
+    @property
     def failed(self) -> list[Result]:
         """The rows that failed."""
         return [result for result in self.results if result.verdict == "FAIL"]
@@ -116,7 +154,9 @@ class Evidence:
             "ended": self.ending,
             "character": self.character.as_dict() if self.character else None,
             "distances": ways(self),
-            "unproved": self.means.unproved(blind=self.blind) if self.means else [],
+            "covers": self.covers,
+            "complete": self.complete,
+            "unproved": [*(self.means.unproved(blind=self.blind) if self.means else []), *self.untested],
             "rows": [_record(result) for result in self.results],
         }
 
@@ -255,6 +295,8 @@ def last_lines(evidence: Evidence) -> list[str]:
     count = {word: sum(result.verdict == word for result in evidence.results) for word in VERDICT_STYLES}
     invalid = f", {count['INVALID']} invalid" if count["INVALID"] else ""
     lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped{invalid}"]
+    lines += [f"tested: {evidence.covers}"] if evidence.covers else []
+    lines += [f"NOT PROVED HERE: {reason}" for reason in evidence.untested]
     if evidence.ending:
         lines.append(f"ENDED EARLY: {evidence.ending}")
     return [*lines, evidence.verdict, CAN_NOT, *ways(evidence)]

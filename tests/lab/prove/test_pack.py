@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import html
 import json
 import os
 import re
@@ -21,7 +22,7 @@ from failstop_lab.commands.prove import record_of
 from failstop_lab.prove import pack, report, saving
 from failstop_lab.prove.report import Evidence
 from failstop_lab.prove.run import Result
-from failstop_lab.prove.table import BY_PATH, BY_TURNING
+from failstop_lab.prove.table import BY_PATH, BY_TURNING, TURNINGS
 from tests.support.commands import FAILSTOP
 
 LIMIT_S = 120
@@ -55,6 +56,63 @@ def test_what_is_in_it(record: dict[str, Any]) -> None:
     assert {"version", "machine", "board", "rows", "distances", "settings", "unproved"} <= record.keys()
     assert record["code_sha256"] == pack.code_digest()
     assert [row["path"] for row in record["rows"]] == ["stop-request"]
+
+
+ALL = ("timeout", "frozen", "pad")
+WHOLE = [(BY_PATH[name], velocity) for velocity in TURNINGS[:2] for name in ALL]
+
+
+def of_part(*names: str, at: int = 2, simulated: bool = False, skips: str = "") -> dict[str, Any]:
+    """The record of the paths with these names at the first velocities; the path `skips` is skipped."""
+    rows = [
+        Result(path, velocity, simulated, skipped="nobody presses <Enter>" if path.name == skips else "")
+        for path, velocity in WHOLE
+        if path.name in names and velocity in TURNINGS[:at]
+    ]
+    return record_of(Evidence("/dev/any", simulated, realtime=True, results=rows, user=Settings({}), whole=WHOLE))
+
+
+@pytest.mark.parametrize(
+    ("record", "covers", "unproved"),
+    [
+        (of_part(*ALL), "3 of 3 stop paths", []),
+        (of_part(*ALL, simulated=True), "3 of 3 stop paths, on a SIMULATED board", []),
+        (of_part("timeout"), "1 of 3 stop paths", ["frozen, pad: not tested here"]),
+        (
+            of_part(*ALL, at=1),
+            "3 of 3 stop paths, not each at every speed",
+            ["timeout, frozen, pad: not tested at 0.35 m/s"],
+        ),
+        (of_part(*ALL, skips="frozen"), "2 of 3 stop paths", ["frozen: skipped (nobody presses <Enter>)"]),
+    ],
+)
+def test_the_verdict_never_comes_without_what_it_is_about(
+    record: dict[str, Any], covers: str, unproved: list[str], tmp_path: Path
+) -> None:
+    assert (record["verdict"], record["covers"], record["unproved"]) == ("PASS", covers, unproved)
+    (path, *_) = pack.save(record, str(tmp_path / "e.html"))
+    head = f"PASS: {covers}"
+    assert pack.verified(path).startswith(f"{head}; ")
+    text = Path(path).read_text()
+    assert f'<p class="verdict">{head}</p>' in text
+    assert f"<title>failstop prove: {head}</title>" in text
+    assert ("Does this robot stop?" in text) is not record["simulated"]
+    assert ('<body class="PASS">' in text) is (covers == "3 of 3 stop paths"), "only all of it is green"
+    for reason in unproved:
+        assert f"<p>{html.escape(reason)}</p>" in text
+
+
+def test_a_row_says_why(record: dict[str, Any]) -> None:
+    assert "<td>nobody presses &lt;Enter&gt;</td>" in pack.page(of_part(*ALL, skips="frozen"))
+    row = {**record["rows"][0], "verdict": "FAIL", "wrong": ["NO STOP written", "late"]}
+    assert "<td>NO STOP written; late</td>" in pack.page({**record, "rows": [row]})
+
+
+def test_what_was_not_tested_is_printed() -> None:
+    rows = [Result(WHOLE[0][0], WHOLE[0][1], simulated=True)]
+    lines = report.last_lines(Evidence("/dev/any", simulated=True, realtime=True, results=rows, whole=WHOLE))
+    assert "tested: 1 of 3 stop paths, not each at every speed, on a SIMULATED board" in lines
+    assert "NOT PROVED HERE: frozen, pad: not tested here" in lines
 
 
 def test_a_text_of_the_record_ends_no_script(record: dict[str, Any], tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
 
 
 @pytest.mark.slow
-def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
+def test_the_main_paths_on_the_simulated_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every stop is written, answered and seen, and the wheels stand; how soon, is judged in test_starved_rows.py."""
     settings = tmp_path / "own.toml"
     settings.write_text(f"{status.LEASE} = {status.LEASE_WITHOUT_S}\n")
@@ -98,6 +98,12 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     assert {"report.txt", "result.json"} <= {file.name for file in folder.iterdir()}
     record = json.loads(page.with_suffix(".json").read_text())
     assert f"evidence: {page}\n" in done.stderr
+    assert main(["prove", "--check", str(page)]) == 0
+    assert f"{result['verdict']}: {result['covers']}; " in capsys.readouterr().out
+    # This board has no watchdog that a frozen service could leave the wheels to.
+    whole = f"of {len(BY_PATH) - 1} stop paths, not each at every speed, on a SIMULATED board"
+    assert result["covers"].endswith(whole)
+    assert any(reason.startswith("stop-request, disable, pad, ") for reason in result["unproved"])
     assert page.read_text() == pack.page(record)
     assert record.items() >= {**result, "rows": [{**row, "samples": []} for row in rows]}.items()
     passed = verdicts == {"PASS"}
