@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
+from failstop.api.errors import FailstopError
 from failstop.cli.main import main
+from failstop_lab.commands import write_json
 from failstop_lab.faults.fault import CONTINUE, HANG, KILL
 from failstop_lab.faults.steps import Steps
 from failstop_lab.faults.table import FAULT_BY_NAME
@@ -124,3 +126,9 @@ def test_the_list_on_a_stand(capsys: pytest.CaptureFixture[str]) -> None:
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert listed == list(random_runs.paths())
     assert not any(name.startswith(("client-", "usb-")) for name in listed)
+
+
+def test_a_result_that_does_not_fit_the_disk_is_told_with_its_name() -> None:
+    """Not as a failure of standard output, which a disk's error alone would look like."""
+    with pytest.raises(FailstopError, match="--json /dev/full could not be written: No space left on device"):
+        write_json("/dev/full", {"rows": []})
