@@ -58,21 +58,27 @@ class Lag:
 
     def __init__(self) -> None:
         self._of: Sequence[Publisher] = ()
-        self._begun_ns = self._before_ns = self._least_ns = 0
-        """When the present window began, the smallest lag of the window before it, and the smallest lag of the present
-        window, ns."""
+        self._begun_ns = self._before_ns = self._least_ns = self._last_ns = 0
+        """When the present window began, the zero point from before it, the smallest lag of the present window, and
+        when its last message was received, ns."""
 
     def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
         """How much later than usual a message of these publishers arrived, ns. `sent_ns`: the sender's wall clock, or 0
         if not known. `received_ns`: this computer's wall clock. Returns 0 for the first message, and if `sent_ns` is 0.
-        After a clock was set, messages may count as late for up to two windows."""
+        The zero point is kept however long the publishers are quiet. After a clock was set, messages may count as late
+        until one window had messages over at least half of it."""
         if not sent_ns:
             return 0
         lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns
-        same = publishers == self._of and 0 <= age_ns < 2 * WINDOW_NS
-        if not same or age_ns >= WINDOW_NS:
-            self._before_ns = self._least_ns if same else lag_ns
-            self._of, self._begun_ns, self._least_ns = publishers, received_ns, lag_ns
+        if publishers != self._of or age_ns < 0:
+            self._of, self._begun_ns, self._before_ns, self._least_ns = publishers, received_ns, lag_ns, lag_ns
+        elif age_ns >= WINDOW_NS:
+            # Messages that all arrived at about the same time may have been resent. They say nothing about the clocks,
+            # so they can't raise the zero point.
+            steady = self._last_ns - self._begun_ns >= WINDOW_NS // 2
+            self._before_ns = self._least_ns if steady else min(self._before_ns, self._least_ns)
+            self._begun_ns, self._least_ns = received_ns, lag_ns
+        self._last_ns = received_ns
         self._least_ns = min(self._least_ns, lag_ns)
         return lag_ns - min(self._before_ns, self._least_ns)
 

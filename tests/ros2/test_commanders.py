@@ -220,7 +220,29 @@ def test_the_first_of_a_publisher_and_one_of_unknown_time_are_not_late() -> None
     assert lag.late_ns((JOY,), 100 * S, 100 * S) == 0
     assert lag.late_ns((JOY,), 0, 101 * S) == 0
     assert lag.late_ns((NAV,), 90 * S, 102 * S) == 0
-    assert lag.late_ns((NAV,), 90 * S, 102 * S + 2 * WINDOW_NS) == 0, "long ago nothing is known of"
+
+
+@pytest.mark.parametrize("quiet_s", [6, 20, 3600])
+def test_what_is_sent_again_is_late_however_long_its_publisher_was_quiet(quiet_s: int) -> None:
+    lag = Lag()
+    for at_ns in range(100 * S, 108 * S, 50 * MS):
+        assert lag.late_ns((JOY,), at_ns, at_ns + 2 * MS) == 0
+    pressed_ns = (108 + quiet_s) * S
+    for n in range(10):
+        assert lag.late_ns((JOY,), pressed_ns + n * 50 * MS, pressed_ns + 8 * S + n * MS) > 7 * S
+    assert lag.late_ns((JOY,), pressed_ns + 9 * S, pressed_ns + 9 * S + 2 * MS) == 0, "what is pressed now"
+
+
+@pytest.mark.parametrize("quiet_s", [0, 3, 20])
+def test_a_link_that_is_lost_again_and_again_makes_no_delay_the_usual_one(quiet_s: int) -> None:
+    """Nothing but what was sent again arrives between the losses."""
+    lag = Lag()
+    assert lag.late_ns((JOY,), 100 * S, 100 * S + 2 * MS) == 0
+    pressed_ns = 101 * S
+    for _ in range(5):
+        for n in range(10):
+            assert lag.late_ns((JOY,), pressed_ns + n * 50 * MS, pressed_ns + 6 * S + n * MS) > 5 * S
+        pressed_ns += (6 + quiet_s) * S
 
 
 @pytest.mark.parametrize("step_ns", [-3600 * S, 3600 * S])
