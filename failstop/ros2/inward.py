@@ -176,6 +176,7 @@ class Inward:
         self._run = self._shared.run
         self._timeout_s = mirrors.command_timeout_s(settings)
         self._scan.timeout_s = float(settings["scan.timeout_s"])
+        self._scan.needed = settings["scan.gate"] == "on"
         if self.arm is None and any(key.startswith("joints.") for key in settings):
             common = (self._node, self._qos, self._group, self._link, self._shared)
             self.arm = ArmFace(*common, self._stamps, self._waited_ns)

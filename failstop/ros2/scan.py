@@ -18,6 +18,8 @@ class ScanWatch:
 
     def __init__(self, timeout_s: float) -> None:
         self.timeout_s = timeout_s
+        self.needed = True
+        """False if the robot drives without a sensor (setting scan.gate). Then it is no problem if no scan arrives."""
         self._heard_ns: int | None = None
         self._publishers: tuple[Publisher, ...] = ()
 
@@ -33,14 +35,18 @@ class ScanWatch:
         """Returns (what is seen, a list of problems)."""
         if wrong := wrong_ends(SCAN.name, self._publishers, (SCAN.type,), reliable=False):
             return "scan of another type", wrong
-        if not self._publishers:
-            return "nobody publishes scan", ["nobody publishes scan: start the lidar's node, or remap its topic"]
         names = ", ".join(dict.fromkeys(publisher.node or NAMELESS for publisher in self._publishers))
+        seen = f"scan: {names}" if names else "nobody publishes scan"
+        return seen, [missing] if self.needed and (missing := self._missing(names, now_ns)) else []
+
+    def _missing(self, names: str, now_ns: int) -> str:
+        """Why no scan arrives. Empty if scans arrive. `names`: the nodes that publish, or empty if none does."""
+        if not names:
+            return "nobody publishes scan: start the lidar's node, or remap its topic"
         if self._heard_ns is None:
-            return f"scan: {names}", [f"{names} publishes scan, but has sent nothing yet"]
-        if now_ns - self._heard_ns > self.timeout_s * 1e9:
-            return f"scan: {names}", [f"{names} publishes scan, but is silent"]
-        return f"scan: {names}", []
+            return f"{names} publishes scan, but has sent nothing yet"
+        silent = now_ns - self._heard_ns > self.timeout_s * 1e9
+        return f"{names} publishes scan, but is silent" if silent else ""
 
 
 class ScanLog:

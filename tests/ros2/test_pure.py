@@ -380,6 +380,18 @@ def test_what_is_heard_of_the_sensor() -> None:
     assert watch.says(S)[1] == ["/depth publishes PointCloud2 on scan, which is LaserScan"]
 
 
+def test_a_robot_that_needs_no_sensor_has_no_problem_without_one() -> None:
+    watch = ScanWatch(0.5)
+    watch.needed = False
+    assert watch.says(S) == ("nobody publishes scan", [])
+    watch.look([Publisher("/ld19", SCAN, False)])
+    assert watch.says(S) == ("scan: /ld19", [])
+    watch.heard(S)
+    assert watch.says(9 * S) == ("scan: /ld19", []), "silent"
+    watch.look([Publisher("/depth", "sensor_msgs/msg/PointCloud2")])
+    assert watch.says(S)[1] == ["/depth publishes PointCloud2 on scan, which is LaserScan"]
+
+
 def test_scan_lines() -> None:
     log = ScanLog(0)
     assert log.update(None, 0.1, 0.5, S) == ""
