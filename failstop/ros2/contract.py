@@ -137,7 +137,8 @@ STATUS = Topic(
     "failstop_msgs/msg/Status",
     PLAIN,
     10,
-    "the most important values of `~/state` as a typed message, if you have built the package failstop_msgs",
+    "the most important values of `~/state` as a typed message, if you have built the package failstop_msgs. While no "
+    "service runs, `blocked` says so, `latched` is true as in `~/emergency_stop`, and everything else is unknown",
 )
 EMERGENCY_STOP = Topic(
     "~/emergency_stop",

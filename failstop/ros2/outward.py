@@ -252,9 +252,9 @@ class Outward:
             self._keep(contract.JOINT_STATES, constant, messages.JOINT_PLACES)
         if names:
             self._send(contract.JOINT_STATES, values)
-        if state and self._heard.get(STATUS.name):
+        if self._heard.get(STATUS.name):
+            status = report.status(state) if state else report.status_without_service(shared.problem)
             # A package failstop_msgs that was built from older source lacks the newest fields.
-            status = report.status(state)
             fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 

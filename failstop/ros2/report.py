@@ -174,6 +174,29 @@ def status(state: State) -> dict[str, Any]:
     }
 
 
+def status_without_service(problem: str) -> dict[str, Any]:
+    """The fields of a failstop_msgs/Status without its stamp if no service is running. `latched` is true, because a
+    stop may be latched, as in ~/emergency_stop. `problem`: why there is no service."""
+    return {
+        "enabled": False,
+        "blocked": problem,
+        "latched": latched(None),
+        "estop": "",
+        "driver": "",
+        "state_age_s": nan,
+        "scan_age_s": nan,
+        "link": "unproven",
+        "wheels": "unknown",
+        "wheels_by": "",
+        "wheels_unexpected": False,
+        "wheels_age_s": nan,
+        "last_stop": "",
+        "last_stop_written_s": nan,
+        "last_stop_acknowledged_s": nan,
+        "last_stop_observed_s": nan,
+    }
+
+
 def _seen(stop: Stop) -> str:
     """Whether the wheels were seen standing still, in words."""
     if stop.observed_s is None:

@@ -212,6 +212,18 @@ def test_typed_status() -> None:
     assert math.isnan(report.status(states.state())["scan_age_s"])
 
 
+def test_typed_status_without_a_service() -> None:
+    """It says what ~/state and ~/emergency_stop say then, with the same fields as ever."""
+    found, known = report.status_without_service("no service"), report.without_service("no service")
+    assert list(found) == list(report.status(states.state()))
+    assert {key: found[key] for key in ("enabled", "blocked", "link")} == {
+        key: known[key] for key in ("enabled", "blocked", "link")
+    }
+    assert found["wheels"] == known["wheels"]["does"] == "unknown"
+    assert found["latched"] is report.latched(None) is True
+    assert all(math.isnan(value) for key, value in found.items() if key.endswith("_s"))
+
+
 def test_nobody_knows_that_nothing_is_latched_without_a_state() -> None:
     assert report.latched(None)
     assert report.latched(states.latched())
