@@ -111,7 +111,8 @@ ODOMETRY = Topic(
     50,
     "if the board reports its wheels: one message for each report, usually 10 a second or more and at most 50, with a "
     "covariance that grows with the distance. When the reports stop, so does this topic. Before the first report, and "
-    "if the board never sends one: 50 Hz, computed from the commands, with a pose variance of 1000",
+    "if the board never sends one: 50 Hz, computed from the commands, with a pose variance of 1000. After a restart "
+    "of the service the pose goes on where it was; motion while no service ran is not counted",
 )
 GAMEPAD = Topic(
     "gamepad",
@@ -128,8 +129,9 @@ JOINT_STATES = Topic(
     10,
     "each wheel's position and velocity as the board reports them; the velocity is NaN if the last report is older "
     "than 0.5 s, and while no service runs. If the board does not report its wheels, both are computed from the "
-    "commands, and the velocity is zero while no service runs. A steered base also has "
-    "`steering`, the last commanded angle, positive to the left. An arm adds each joint that has been read",
+    "commands, and the velocity is zero while no service runs. After a restart of the service the positions go on "
+    "where they were. A steered base also has `steering`, the last commanded angle, positive to the left. An arm adds "
+    "each joint that has been read",
 )
 STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON, with the keys that are listed below")
 STATUS = Topic(

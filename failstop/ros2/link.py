@@ -10,6 +10,7 @@ from typing import TypeVar
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
+from failstop.api.snapshot import Sample
 from failstop.api.state import State
 from failstop.ros2 import words
 from failstop.ros2.commanders import Reason
@@ -66,6 +67,16 @@ class RobotLink:
             self.close()
             found = self.call(lambda robot: robot.state)
         return found
+
+    def samples(self) -> tuple[str, list[Sample]]:
+        """(the name of the present run, its samples since the last call), as Robot.samples(). Raises FailstopError."""
+
+        def read(robot: Robot) -> tuple[str, list[Sample]]:
+            with robot._lock:
+                run = robot._current()
+                return run.found[0], run.samples()
+
+        return self.call(read)
 
     def close(self, failed: BaseException | None = None) -> None:
         """Close the connection, which ends everything that was commanded through it. `failed`: the error that ends the

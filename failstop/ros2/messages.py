@@ -151,6 +151,9 @@ class Wheels:
         """The steering's joint and its angle. Empty if the base is not steered, or if no angle was commanded yet."""
         self._position_rad: list[float] = []
         self._velocity_radps: list[float] = []
+        self._begun_rad: list[float] = []
+        """The positions when the present run of the service began. The service counts from zero in each run."""
+        self._run = 0
         self._measured = False
         self._ns = 0
 
@@ -160,11 +163,12 @@ class Wheels:
         now_ns: int,
         steering_rad: float | None = None,
         turning: snapshot.Turning | None = None,
+        run: int = 0,
     ) -> None:
         """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service. Without a service, a
         commanded speed is zero, and a measured speed is NaN. `steering_rad`: State.steering_rad; None keeps the angle.
         `turning`: State.turning. If the board reports its wheels, only the reports are used, and the speed is NaN after
-        an old report."""
+        an old report. `run`: identifies the run of the service. In a later run the positions go on, and don't jump."""
         if steering_rad is not None:
             self._steering_rad = {"steering": steering_rad}
         if not self._measured:
@@ -177,6 +181,8 @@ class Wheels:
         if len(wheels_radps) != len(self._names):
             self._names = [f"wheel_{name}" for name in wheels_radps.names]
             self._position_rad = [0.0] * len(self._names)
+        if run != self._run or len(self._begun_rad) != len(self._names):
+            self._run, self._begun_rad = run, list(self._position_rad)
         seen = turning.speeds_radps if turning else None
         self._measured = seen is not None and len(seen) == len(self._names)
         if not turning or not seen or not self._measured:
@@ -185,7 +191,8 @@ class Wheels:
         old = turning.age_s is None or turning.age_s > OLD_S
         self._velocity_radps = [nan] * len(seen) if old else list(seen)
         if turning.turned_rad and len(turning.turned_rad) == len(self._names):
-            self._position_rad = list(turning.turned_rad)
+            turned = zip(self._begun_rad, turning.turned_rad, strict=True)
+            self._position_rad = [begun + since for begun, since in turned]
 
     def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
         """The names of the joints, and the changing values of a sensor_msgs/JointState. `arm`: State.arm. A joint of

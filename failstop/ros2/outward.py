@@ -14,7 +14,6 @@ from time import CLOCK_BOOTTIME, clock_gettime, monotonic_ns, sleep, time_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError
-from failstop.api.robot import Robot
 from failstop.api.snapshot import Imu, Odometry, Pad
 from failstop.api.state import State
 from failstop.ros2 import contract, diagnostics, messages, report
@@ -22,6 +21,7 @@ from failstop.ros2.contract import OUTWARD, STATUS, TF, Topic
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import Graph
 from failstop.ros2.link import RobotLink
+from failstop.ros2.pose import Pose
 from failstop.ros2.scan import ScanLog
 from failstop.ros2.shared import Shared
 from failstop.ros2.stencil import Stencil, serializer
@@ -70,6 +70,7 @@ class Outward:
         for topic in topics:
             self._make(topic, qos)
         self._constants()
+        self._pose = Pose()
         self._wheels = messages.Wheels()
         self._scan_log = ScanLog(monotonic_ns())
         self._offset_ns = self._imu_ns = 0
@@ -145,8 +146,9 @@ class Outward:
             self._heard_ns = now_ns
             self._heard = {name: bool(ends.get_subscription_count()) for name, ends in self._publishers.items()}
         try:
-            for sample in self._link.call(Robot.samples):
-                self._sample(sample)
+            run, samples = self._link.samples()
+            for sample in samples:
+                self._sample(self._pose.continued(run, sample) if isinstance(sample, Odometry) else sample)
         except FailstopError as error:
             self._lost(error)
         self._graph.ask(self._link, now_ns)
@@ -226,7 +228,7 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.update(state.wheels_radps, now_ns, state.steering_rad, state.turning)
+        self._wheels.update(state.wheels_radps, now_ns, state.steering_rad, state.turning, self._shared.run)
         timeout_s = float(settings["scan.timeout_s"])
         if line := self._scan_log.update(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)

@@ -1,0 +1,69 @@
+"""A service that ends and is started again, as the topics of the bridge show it, on a robot that needs no scan."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from failstop.ros2.report import without_service
+from tests.ros2.scene import NODE, BridgeTrial
+
+SETTINGS = 'scan.gate = "off"\n'
+BRIDGE = ("--ros-args", "-p", "publish_tf:=true")
+
+
+def test_a_robot_that_needs_no_scan_drives_without_one_and_nothing_is_wrong(scene: BridgeTrial) -> None:
+    scene.enable()
+    scene.drive()
+    scene.moving()
+    assert scene.state(lambda state: state["publishers"] == ["/nav"])["wrong"] is None
+    scene.eyes.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    rows = scene.eyes.next("/diagnostics", lambda message: "/nav" in str(message))["status"]
+    [row] = [row for row in rows if row["name"].endswith(": ROS")]
+    assert (row["level"], row["message"]) == (0, "cmd_vel: /nav; nobody publishes scan")
+
+
+def test_status_says_that_no_service_runs(scene: BridgeTrial) -> None:
+    topic = f"{NODE}/status"
+    if topic not in scene.eyes.ask("graph")["topics"]:
+        pytest.skip("failstop_msgs is not built here")
+    scene.enable()
+    scene.eyes.hear(topic, "failstop_msgs/msg/Status")
+    scene.eyes.next(topic, lambda message: message["enabled"] and not message["latched"])
+    scene.trial.leave()
+    scene.trial.service.kill()
+    try:
+        found = scene.eyes.next(topic, lambda message: scene.trial.name in message["blocked"])
+        assert (found["enabled"], found["latched"], found["link"]) == (False, True, without_service("")["link"])
+        assert math.isnan(found["state_age_s"])
+    finally:
+        scene.trial.service.start()
+    scene.eyes.next(topic, lambda message: not message["latched"])
+
+
+def test_the_pose_goes_on_where_it_was(scene: BridgeTrial) -> None:
+    def x_m(message: dict[str, Any]) -> float:
+        return float(message["pose"]["pose"]["position"]["x"])
+
+    scene.eyes.hear("wheel/odom", "nav_msgs/msg/Odometry", depth=400)
+    scene.eyes.hear("/tf", "tf2_msgs/msg/TFMessage", depth=400)
+    begun_m = x_m(scene.eyes.next("wheel/odom"))
+    scene.enable()
+    driver = scene.drive()
+    scene.eyes.next("wheel/odom", lambda message: x_m(message) > begun_m + 0.1)
+    scene.leave(driver)
+    scene.standing()
+    scene.trial.leave()
+    scene.trial.service.kill()
+    scene.state(lambda state: state["state_age_ms"] is None)
+    stood_m = x_m(scene.eyes.take("wheel/odom")[-1][2])
+    scene.eyes.take("/tf")
+    scene.trial.service.start()
+    scene.enable()
+    assert x_m(scene.eyes.next("wheel/odom")) == pytest.approx(stood_m)
+    [transform] = scene.eyes.next("/tf")["transforms"]
+    assert transform["transform"]["translation"]["x"] == pytest.approx(stood_m)
+    scene.drive()
+    scene.eyes.next("wheel/odom", lambda message: x_m(message) > stood_m + 0.1)
