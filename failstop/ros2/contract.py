@@ -78,12 +78,17 @@ ESTOP = Topic(
     "std_msgs/msg/Bool",
     PLAIN,
     0,
-    "true latches a stop (`estop topic`); false does nothing. The bridge hears best-effort publishers too, because it "
-    "has a second subscription to this topic, with best effort",
+    "true latches a stop (`estop topic`); false does nothing. The bridge hears best-effort publishers too. If a "
+    "transient local publisher is still there, the bridge also gets its last message from before the bridge started, "
+    "so an old `true` latches again at each start of the bridge. For both, the bridge has further subscriptions to "
+    "this topic. A `true` that comes while no service runs latches a stop as soon as one runs",
 )
 ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
 """A second subscription to the topic estop. Both are needed, because a reliable subscription does not hear a
 best-effort publisher, and a best-effort one may lose messages of a reliable publisher."""
+ESTOP_LASTING = ESTOP._replace(qos=LASTING._replace(depth=1))
+"""A third subscription to the topic estop, which also gets the last message from before the bridge started. It hears
+only transient local publishers."""
 INWARD = (CMD_VEL, SCAN, ESTOP)
 
 IMU = Topic(

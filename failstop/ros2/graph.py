@@ -64,13 +64,16 @@ def publishers(node: Any, topic: str) -> list[Publisher]:
     return [_publisher(found) for found in node.get_publishers_info_by_topic(topic)]
 
 
-def latch(node: Any, link: RobotLink, cause: str) -> None:
-    """Request a latched stop through the stop pipe. Logs the cause, and an error if there is nothing to stop."""
+def latch(node: Any, link: RobotLink, cause: str) -> bool:
+    """Request a latched stop through the stop pipe. Logs the cause, and an error if there is nothing to stop. Returns
+    True if the stop was requested."""
     try:
         link.stop(cause)
-        node.get_logger().error(f"E-STOP: {cause}")
     except FailstopError as error:
         node.get_logger().error(f"{cause}, and there is nothing to stop: {error}")
+        return False
+    node.get_logger().error(f"E-STOP: {cause}")
+    return True
 
 
 def _publisher(found: Any) -> Publisher:

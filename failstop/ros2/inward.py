@@ -19,6 +19,7 @@ from failstop.ros2.contract import (
     CMD_VEL,
     COMMAND_TYPES,
     ESTOP,
+    ESTOP_LASTING,
     ESTOP_LOSSY,
     SCAN,
     SERVICES,
@@ -83,10 +84,13 @@ class Inward:
         self._type = self._accepted[0]
         # Subscribe to estop first, because subscriptions are served in this order.
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
-        self._subscribe(ESTOP_LOSSY, self._estop)
+        for others in (ESTOP_LOSSY, ESTOP_LASTING):
+            self._subscribe(others, self._estop)
         self._stopped_ns = 0
-        """When the estop message was sent that was handled last. It is needed because both subscriptions receive the
+        """When the estop message was sent that was handled last. It is needed because several subscriptions receive the
         messages of a reliable publisher."""
+        self._owes_stop = False
+        """True if estop was true while no service ran. The stop is requested as soon as one runs."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
@@ -107,8 +111,8 @@ class Inward:
             self._complained_ns[what] = now_ns
             self._node.get_logger().warning(line)
 
-    def _latch(self, cause: str) -> None:
-        latch(self._node, self._link, cause)
+    def _latch(self, cause: str) -> bool:
+        return latch(self._node, self._link, cause)
 
     # Commanders.
 
@@ -138,6 +142,8 @@ class Inward:
         second, unless the executor hangs. Then the interlock expires."""
         now_ns = monotonic_ns()
         self._adopt_run()
+        if self._owes_stop and self._shared.state:
+            self._owes_stop = not self._latch(words.TOPIC_CAUSE)
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
@@ -256,7 +262,7 @@ class Inward:
     def _estop(self, message: Any) -> None:
         if message.data and not (self._sent_ns and self._sent_ns == self._stopped_ns):
             self._stopped_ns = self._sent_ns
-            self._latch(words.TOPIC_CAUSE)
+            self._owes_stop = not self._latch(words.TOPIC_CAUSE)
 
     # Services.
 

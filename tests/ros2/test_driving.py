@@ -99,10 +99,25 @@ def test_every_publisher_of_estop_can_stop(scene: BridgeTrial) -> None:
     scene.state(lambda state: state["wrong"] == nobody)
 
 
-def test_one_message_of_estop_is_one_stop(scene: BridgeTrial) -> None:
-    """A reliable publisher is heard by both subscriptions of the bridge."""
+def test_an_estop_from_before_the_bridge_latches_if_it_lasts(scene: BridgeTrial) -> None:
     button = scene.node("button")
-    button.publish("estop", BOOL, {"data": False}, hz=1.0)
+    button.ask("advertise", topic="estop", type=BOOL, qos={"lasting": True, "depth": 1})
+    for pressed in (True, False):
+        scene.bridge.end()
+        button.ask("publish", topic="estop", fields={"data": pressed})
+        scene.bridge.start()
+        scene.state(lambda state: state["state_age_ms"] is not None)
+        if pressed:
+            assert latched(scene) == "estop topic"
+            wait_for("a reset to be taken", scene.trial.reset)
+    assert scene.state()["estop"] is None, "the last one was false"
+
+
+@pytest.mark.parametrize("lasting", [False, True])
+def test_one_message_of_estop_is_one_stop(scene: BridgeTrial, lasting: bool) -> None:
+    """A reliable publisher is heard by several subscriptions of the bridge."""
+    button = scene.node("button")
+    button.publish("estop", BOOL, {"data": False}, hz=1.0, qos={"lasting": lasting})
     before = scene.bridge.said().count("E-STOP: estop topic")
     button.ask("rest", topic="estop")
     button.ask("publish", topic="estop", fields={"data": True})

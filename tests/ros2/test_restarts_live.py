@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from failstop.ros2.report import without_service
-from tests.ros2.scene import NODE, BridgeTrial
+from failstop_lab.trial import wait_for
+from tests.ros2.scene import BOOL, NODE, BridgeTrial
 
 SETTINGS = 'scan.gate = "off"\n'
 BRIDGE = ("--ros-args", "-p", "publish_tf:=true")
@@ -41,6 +42,23 @@ def test_status_says_that_no_service_runs(scene: BridgeTrial) -> None:
     finally:
         scene.trial.service.start()
     scene.eyes.next(topic, lambda message: not message["latched"])
+
+
+def test_an_estop_that_comes_while_no_service_runs_latches_the_next_one(scene: BridgeTrial) -> None:
+    button = scene.node("button")
+    button.publish("estop", BOOL, {"data": False}, hz=1.0)
+    button.ask("rest", topic="estop")
+    scene.trial.leave()
+    scene.trial.service.kill()
+    try:
+        scene.state(lambda state: state["state_age_ms"] is None)
+        button.ask("publish", topic="estop", fields={"data": True})
+        wait_for("the line", lambda: "estop topic, and there is nothing to stop: " in scene.bridge.said())
+    finally:
+        scene.trial.service.start()
+    scene.state(lambda state: state["estop"] == "estop topic")
+    wait_for("a reset to be taken", scene.trial.reset)
+    scene.state(lambda state: state["state_age_ms"] is not None and state["estop"] is None)
 
 
 def test_the_pose_goes_on_where_it_was(scene: BridgeTrial) -> None:
