@@ -230,7 +230,7 @@ class ArmFace:
     def _accept_goal(self, message: Any) -> None:
         """Start the arm's goal, or hold the arm if the goal has no points. Raises FailstopError."""
         if not message.points:
-            self._goal_job = self.begin(_hold)
+            self._hold_now()
             return
         if old := self._old(self._waited_ns()) or self._late(message.header.stamp):
             raise Refused(old)

@@ -171,7 +171,7 @@ ARM_GOAL = Topic(
     "where the arm must go: joints by their names in the settings, angles in rad. A message without points holds the "
     "arm. A second publisher latches a stop. A goal is refused if its stamp is older than `arm.goal_timeout_s`, if it "
     "waited longer than that before the bridge read it, or if the motion would take longer than `arm.unwatched_s`. "
-    "When its publisher exits, the arm is held",
+    "When its publisher exits, the arm is held. If the bridge can't hold the arm, it latches a stop",
 )
 ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves or is about to")
 OUTWARD = (
