@@ -161,7 +161,8 @@ DIAGNOSTICS = Topic(
     PLAIN,
     1,
     "what holds the wheels and what to type next; the wheels, each process, port, link, battery and real-time rights; "
-    "which nodes publish cmd_vel and scan. Also published when something changes",
+    "servos and the arm if there are any; measured speeds that differ much from the commanded ones; which nodes "
+    "publish cmd_vel and scan. Also published when something changes",
 )
 ARM_GOAL = Topic(
     "arm/goal",

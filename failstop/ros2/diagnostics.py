@@ -39,7 +39,7 @@ def statuses(
         rows = [_status("stop layer", ERROR, problem)]
     else:
         rows = [_stop_layer(state), _wheels(state), *_processes(state), _port(state), _link(state), _battery(state)]
-        rows += [*_servos(state), _rights(state)]
+        rows += [*_servos(state), *_arm(state), *_speeds(state), _rights(state)]
     rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
     rows += [_status("not offered", OK, line) for line in lacks]
     return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
@@ -53,6 +53,8 @@ def _status(name: str, level: int, message: str, **values: object) -> StatusMess
 def _stop_layer(state: State) -> StatusMessage:
     """Why the wheels may not turn, and the next command to type."""
     level = ERROR if state.estop or verdict.doubt(state) or verdict.down(state) else OK
+    if level == OK and verdict.unproven(state):
+        level = WARN
     if state.age_s > verdict.STALE_S:
         level = STALE
     step = steps.line(state)
@@ -132,6 +134,18 @@ def _servos(state: State) -> Iterator[StatusMessage]:
         yield _status(name, max(level, WARN if wrong else OK), text, temperature_c=temperature_c, load=load)
     for name in state.servos_wrong.keys() - state.servos.keys():
         yield _status(name, ERROR, state.servos_wrong[name])
+
+
+def _arm(state: State) -> Iterator[StatusMessage]:
+    """The arm, if there is one: joints whose servo is silent, hot, or about to let go."""
+    if state.arm:
+        yield _status("arm", WARN if state.arm.wrong else OK, "; ".join(state.arm.wrong) or "no fault is known")
+
+
+def _speeds(state: State) -> Iterator[StatusMessage]:
+    """A row if the wheels turn much faster or slower than they are commanded to."""
+    if state.scale.wrong:
+        yield _status("speeds", WARN, "; ".join(state.scale.wrong))
 
 
 def _rights(state: State) -> StatusMessage:

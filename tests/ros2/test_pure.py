@@ -14,7 +14,7 @@ import pytest
 
 from failstop.api import snapshot
 from failstop.api.errors import FailstopError
-from failstop.api.snapshot import OLD_S, Ages, Device, GyroBias, Imu, Odometry, Pad
+from failstop.api.snapshot import OLD_S, Ages, Device, GyroBias, Imu, Odometry, Pad, Scale
 from failstop.api.state import Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -370,6 +370,11 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
         ({"battery_v": 9.0, "ages": Ages(battery_s=OLD_S)}, "battery", diagnostics.STALE),
         ({"device": Device("/dev/x", "open", "silent")}, "link", diagnostics.ERROR),
         ({"servos": {"rear wheel (servo 8)": (0.1, 41)}}, "rear wheel (servo 8)", diagnostics.OK),
+        ({"arm": states.arm("base")}, "arm", diagnostics.OK),
+        ({"arm": states.arm("base", wrong=("joint base is silent",))}, "arm", diagnostics.WARN),
+        ({"scale": Scale(wrong=("the wheels turn twice as fast",))}, "speeds", diagnostics.WARN),
+        ({"device": Device("/dev/x", "open", "unproven")}, "stop layer", diagnostics.WARN),
+        ({"device": Device("/dev/x", "open", "unproven"), "age_s": 0.9}, "stop layer", diagnostics.STALE),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
         ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),
@@ -378,6 +383,20 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
 def test_diagnostics_of_what_is_not(changed: dict[str, object], name: str, level: int) -> None:
     rows = diagnostics.statuses("base", states.state(**changed), "", [], [])
     assert {row["name"].partition(": ")[2]: row["level"] for row in rows}[name] == level
+
+
+def test_diagnostics_warn_of_a_board_that_obeys_no_command() -> None:
+    unheeded = states.driving(device=Device("/dev/x", "open", "alive", unheeded_s=9.0))
+    row = diagnostics.statuses("base", unheeded, "", [], [])[0]
+    assert row["level"] == diagnostics.WARN
+    assert "unproven: the board has reported for 9.0 s that it obeys a command of zero" in row["message"]
+
+
+def test_diagnostics_of_an_arm_name_every_fault() -> None:
+    wrong = ("joint base (servo 1) is silent", "joint elbow (servo 3) is hot")
+    rows = diagnostics.statuses("base", states.state(arm=states.arm("base", wrong=wrong)), "", [], [])
+    [arm] = [row for row in rows if row["name"] == "base: arm"]
+    assert arm["message"] == "; ".join(wrong)
 
 
 def test_diagnostics_of_a_latch_name_the_next_command() -> None:
