@@ -101,7 +101,7 @@ class Publisher:
 
 def _match(publisher: dict, subscription: dict) -> bool:
     same = publisher["topic"] == subscription["topic"] and publisher["type"] == subscription["type"]
-    return same and (publisher["reliable"] or not subscription["reliable"])
+    return same and all(publisher[of] or not subscription[of] for of in ("reliable", "lasting"))
 
 
 class Subscription:
