@@ -16,7 +16,7 @@ from failstop.cli import style
 from failstop.policy.layouts import BOARDS
 from failstop.setup.ending import noted
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.commands import check_json, matching
+from failstop_lab.commands import check_json, matching, write_json
 from failstop_lab.faults import injection, report
 from failstop_lab.faults.injection import Row
 from failstop_lab.faults.scene import Scene
@@ -115,8 +115,7 @@ def main(arguments: Namespace) -> int:
     tally = _run(arguments, rows, before)
     result = tally.as_dict()
     if out:
-        with open(out, "w", encoding="utf-8") as file:
-            json.dump(result, file, indent=1)
+        write_json(out, result)
     print(report.markdown(result) if arguments.markdown else f"{tally.table()}\n\n{tally.summary()}", flush=True)
     print(f"{'interrupted; ' if tally.interrupted else ''}to repeat it: --seed {tally.seed}", file=sys.stderr)
     for story in tally.stories[:STORIES]:
