@@ -39,7 +39,7 @@ def statuses(
         rows = [_status("stop layer", ERROR, problem)]
     else:
         rows = [_stop_layer(state), _wheels(state), *_processes(state), _port(state), _link(state), _battery(state)]
-        rows += [*_servos(state), *_arm(state), *_speeds(state), _rights(state)]
+        rows += [*_servos(state), *_arm(state), _speeds(state), _rights(state)]
     rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
     rows += [_status("not offered", OK, line) for line in lacks]
     return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
@@ -142,10 +142,10 @@ def _arm(state: State) -> Iterator[StatusMessage]:
         yield _status("arm", WARN if state.arm.wrong else OK, "; ".join(state.arm.wrong) or "no fault is known")
 
 
-def _speeds(state: State) -> Iterator[StatusMessage]:
-    """A row if the wheels turn much faster or slower than they are commanded to."""
-    if state.scale.wrong:
-        yield _status("speeds", WARN, "; ".join(state.scale.wrong))
+def _speeds(state: State) -> StatusMessage:
+    """Whether the wheels turn much faster or slower than they are commanded to. The row is always there, because tools
+    keep the last level of a row that disappears."""
+    return _status("speeds", WARN if state.scale.wrong else OK, "; ".join(state.scale.wrong) or "no difference is known")
 
 
 def _rights(state: State) -> StatusMessage:

@@ -372,6 +372,7 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
         ({"servos": {"rear wheel (servo 8)": (0.1, 41)}}, "rear wheel (servo 8)", diagnostics.OK),
         ({"arm": states.arm("base")}, "arm", diagnostics.OK),
         ({"arm": states.arm("base", wrong=("joint base is silent",))}, "arm", diagnostics.WARN),
+        ({}, "speeds", diagnostics.OK),
         ({"scale": Scale(wrong=("the wheels turn twice as fast",))}, "speeds", diagnostics.WARN),
         ({"device": Device("/dev/x", "open", "unproven")}, "stop layer", diagnostics.WARN),
         ({"device": Device("/dev/x", "open", "unproven"), "age_s": 0.9}, "stop layer", diagnostics.STALE),
