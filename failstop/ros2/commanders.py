@@ -31,6 +31,8 @@ publisher counts as one without a name."""
 STOP_AGAIN_NS = 500_000_000
 """After this time a requested stop that is still not latched is requested again."""
 WINDOW_NS = 5_000_000_000
+STEADY_GAP_NS = 500_000_000
+"""The longest pause between the messages of a steady window. A link that comes and goes leaves longer ones."""
 NAMELESS = f"a node whose name is {NOT_KNOWN}"
 DEAD_ONE = "one of them may be a dead process, which DDS counts for up to 20 s"
 LONGEST_NAMES = 150
@@ -58,26 +60,30 @@ class Lag:
 
     def __init__(self) -> None:
         self._of: Sequence[Publisher] = ()
-        self._begun_ns = self._before_ns = self._least_ns = self._last_ns = 0
-        """When the present window began, the zero point from before it, the smallest lag of the present window, and
-        when its last message was received, ns."""
+        self._begun_ns = self._before_ns = self._least_ns = self._last_ns = self._gap_ns = 0
+        """When the present window began, the zero point from before it, the smallest lag of the present window, when
+        its last message was received, and the longest pause between its messages, ns."""
 
     def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
         """How much later than usual a message of these publishers arrived, ns. `sent_ns`: the sender's wall clock, or 0
         if not known. `received_ns`: this computer's wall clock. Returns 0 for the first message, and if `sent_ns` is 0.
-        The zero point is kept however long the publishers are quiet. After a clock was set, messages may count as late
-        until one window had messages over at least half of it."""
+        The zero point is kept however long the publishers are quiet. After a clock was set, or after clocks drifted
+        apart meanwhile, messages may count as late until one window had messages over at least half of it, without a
+        pause of over STEADY_GAP_NS."""
         if not sent_ns:
             return 0
         lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns
         if publishers != self._of or age_ns < 0:
             self._of, self._begun_ns, self._before_ns, self._least_ns = publishers, received_ns, lag_ns, lag_ns
+            self._gap_ns = 0
         elif age_ns >= WINDOW_NS:
-            # Messages that all arrived at about the same time may have been resent. They say nothing about the clocks,
-            # so they can't raise the zero point.
-            steady = self._last_ns - self._begun_ns >= WINDOW_NS // 2
+            # Messages that arrived only in bursts may all have been resent. They say nothing about the clocks, so they
+            # can't raise the zero point.
+            steady = self._last_ns - self._begun_ns >= WINDOW_NS // 2 and self._gap_ns <= STEADY_GAP_NS
             self._before_ns = self._least_ns if steady else min(self._before_ns, self._least_ns)
-            self._begun_ns, self._least_ns = received_ns, lag_ns
+            self._begun_ns, self._least_ns, self._gap_ns = received_ns, lag_ns, 0
+        else:
+            self._gap_ns = max(self._gap_ns, received_ns - self._last_ns)
         self._last_ns = received_ns
         self._least_ns = min(self._least_ns, lag_ns)
         return lag_ns - min(self._before_ns, self._least_ns)
