@@ -145,7 +145,8 @@ def _arm(state: State) -> Iterator[StatusMessage]:
 def _speeds(state: State) -> StatusMessage:
     """Whether the wheels turn much faster or slower than they are commanded to. The row is always there, because tools
     keep the last level of a row that disappears."""
-    return _status("speeds", WARN if state.scale.wrong else OK, "; ".join(state.scale.wrong) or "no difference is known")
+    wrong = state.scale.wrong
+    return _status("speeds", WARN if wrong else OK, "; ".join(wrong) or "no difference is known")
 
 
 def _rights(state: State) -> StatusMessage:
