@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from failstop.api.state import State
+from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
 from failstop.policy.causes import NOT_KNOWN, Kind
 
@@ -108,6 +110,38 @@ class Asking:
             return False
         self._asked_ns, self._cause = now_ns, cause
         return True
+
+
+class Owed:
+    """Decides whether one stop must be requested again. That a request was written is no proof, because a service that
+    is ending may never read it, and the next run begins without a latched stop."""
+
+    def __init__(self) -> None:
+        self._asked_ns: int | None = None
+        """When the stop was requested last. None if no stop is owed."""
+        self._sent = False
+        self._run = self._epoch = 0
+
+    def asked(self, state: State | None, now_ns: int, *, sent: bool) -> None:
+        """Note that the stop was requested. `state`: the last state before the request. `sent`: False if there was no
+        service to stop."""
+        self._asked_ns, self._sent = now_ns, sent
+        self._run, self._epoch = (_run(state), state.epoch) if state else (0, 0)
+
+    def due(self, state: State | None, now_ns: int) -> bool:
+        """True if the stop must be requested again now. `state`: the present state."""
+        if self._asked_ns is None or state is None:
+            return False
+        # In the same run, a stop may be latched already, and a person may have reset it again, so only the epoch tells.
+        heard = state.epoch > self._epoch if _run(state) == self._run else state.estop is not None
+        if self._sent and heard:
+            self._asked_ns = None
+            return False
+        return now_ns - self._asked_ns >= STOP_AGAIN_NS
+
+
+def _run(state: State) -> int:
+    return state.processes[SUPERVISOR].pid
 
 
 class Reason(str):

@@ -13,7 +13,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
-from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, reason, waited_ns, wrong_ends
+from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, Owed, reason, waited_ns, wrong_ends
 from failstop.ros2.contract import (
     CLIENT,
     CMD_VEL,
@@ -89,8 +89,8 @@ class Inward:
         self._stopped_ns = 0
         """When the estop message was sent that was handled last. It is needed because several subscriptions receive the
         messages of a reliable publisher."""
-        self._owes_stop = False
-        """True if estop was true while no service ran. The stop is requested as soon as one runs."""
+        self._owed = Owed()
+        """The stop of the last estop message, if no run of the service is known to have heard it."""
         self._subscription = self._subscribe(CMD_VEL, self._command, self._type)
         self._scan_topic = self._subscribe(SCAN, self._scanned, raw=True).topic_name
         self.graph = Graph(node, self._subscription.topic_name, self._commanders, shared)
@@ -142,8 +142,8 @@ class Inward:
         second, unless the executor hangs. Then the interlock expires."""
         now_ns = monotonic_ns()
         self._adopt_run()
-        if self._owes_stop and self._shared.state:
-            self._owes_stop = not self._latch(words.TOPIC_CAUSE)
+        if self._owed.due(state := self._shared.state, now_ns):
+            self._owed.asked(state, now_ns, sent=self._latch_again())
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
@@ -262,7 +262,18 @@ class Inward:
     def _estop(self, message: Any) -> None:
         if message.data and not (self._sent_ns and self._sent_ns == self._stopped_ns):
             self._stopped_ns = self._sent_ns
-            self._owes_stop = not self._latch(words.TOPIC_CAUSE)
+            state = self._shared.state
+            self._owed.asked(state, monotonic_ns(), sent=self._latch(words.TOPIC_CAUSE))
+
+    def _latch_again(self) -> bool:
+        """Request the stop of the last estop message again. Returns False if there is nothing to stop."""
+        try:
+            self._link.stop(words.TOPIC_CAUSE)
+        except FailstopError as error:
+            self._complain("estop", f"{words.TOPIC_CAUSE}, and there is still nothing to stop: {error}")
+            return False
+        self._complain("estop again", f"{words.TOPIC_CAUSE}: the stop was requested again")
+        return True
 
     # Services.
 

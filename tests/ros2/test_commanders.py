@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import random
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from failstop.api.state import State
 from failstop.policy import causes
 from failstop.ros2 import graph
 from failstop.ros2.commanders import (
@@ -21,11 +23,13 @@ from failstop.ros2.commanders import (
     Asking,
     Commanders,
     Lag,
+    Owed,
     Publisher,
     rivals,
     waited_ns,
 )
 from failstop.ros2.contract import COMMAND_TYPES, STAMPED, TWIST
+from tests.support import states
 
 BOTH = COMMAND_TYPES["auto"]
 NAV = Publisher("/nav", TWIST)
@@ -285,6 +289,31 @@ def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
     assert not causes.completed(latched, causes.ROS_PUBLISHERS(known.given, "ros2", 77)), "of another topic"
     assert not causes.completed(latched, causes.PIPED(known))
     assert not causes.completed(causes.PIPED(nameless), later)
+
+
+def test_a_stop_is_owed_until_a_run_has_heard_it() -> None:
+    def state(pid: int, epoch: int, state: State) -> State:
+        processes = {"supervisor": states.process(pid=pid)}
+        return dataclasses.replace(state, epoch=epoch, processes=processes)
+
+    free, latched = states.state(), states.latched(causes.KEY(1))
+    again_ns = S + STOP_AGAIN_NS
+    owed = Owed()
+    assert not owed.due(state(7, 3, free), S), "nothing was requested"
+    # One that is latched already, or whose supervisor has died, is no proof.
+    for before in (free, latched):
+        owed.asked(state(7, 3, before), S, sent=True)
+        assert not owed.due(state(7, 3, before), again_ns - 1)
+        assert not owed.due(None, again_ns), "no service runs"
+        assert owed.due(state(7, 3, latched), again_ns)
+        assert owed.due(state(8, 1, free), again_ns), "a new run begins without it"
+        assert not owed.due(state(7, 4, free), again_ns), "heard, and reset meanwhile"
+        assert not owed.due(state(8, 1, free), 2 * again_ns)
+    owed.asked(None, S, sent=True)
+    assert owed.due(state(7, 0, free), again_ns)
+    assert not owed.due(state(7, 1, latched), again_ns)
+    owed.asked(state(7, 3, free), S, sent=False)
+    assert owed.due(state(7, 4, latched), again_ns), "that was another stop"
 
 
 class CountingHandle:
