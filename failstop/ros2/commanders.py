@@ -46,6 +46,8 @@ class Publisher(NamedTuple):
     node: str
     type: str
     reliable: bool = True
+    lasting: bool = False
+    """True if its durability is transient local."""
 
 
 def waited_ns(received_ns: int, wall_ns: int) -> int:
@@ -271,7 +273,7 @@ def wrong_ends(topic: str, publishers: Sequence[Publisher], accepted: Sequence[s
     """Why publishers of a topic are never heard, one line for each: a wrong type, or best effort although `reliable` is
     needed."""
     found = []
-    for node, kind, is_reliable in publishers:
+    for node, kind, is_reliable, _ in publishers:
         who = node or NAMELESS
         if kind not in accepted:
             found.append(f"{who} publishes {short(kind)} on {topic}, which is {' or '.join(map(short, accepted))}")

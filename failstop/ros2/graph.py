@@ -13,6 +13,7 @@ from failstop.ros2.link import RobotLink
 from failstop.ros2.shared import Shared
 
 BEST_EFFORT = 2
+TRANSIENT_LOCAL = 1
 
 
 class Graph:
@@ -81,4 +82,6 @@ def _publisher(found: Any) -> Publisher:
     name = found.node_name
     node = "" if not name or name.startswith("_NODE_NAME_UNKNOWN_") else f"{found.node_namespace.rstrip('/')}/{name}"
     # A publisher with unknown reliability counts as reliable.
-    return Publisher(node, found.topic_type, int(found.qos_profile.reliability) != BEST_EFFORT)
+    qos = found.qos_profile
+    lasting = int(qos.durability) == TRANSIENT_LOCAL
+    return Publisher(node, found.topic_type, int(qos.reliability) != BEST_EFFORT, lasting)

@@ -84,8 +84,9 @@ class Inward:
         self._type = self._accepted[0]
         # Subscribe to estop first, because subscriptions are served in this order.
         self._estop_topic = self._subscribe(ESTOP, self._estop).topic_name
-        for others in (ESTOP_LOSSY, ESTOP_LASTING):
-            self._subscribe(others, self._estop)
+        self._subscribe(ESTOP_LOSSY, self._estop)
+        self._hears_lasting = False
+        """True if there is a subscription that gets estop's last message from before it."""
         self._stopped_ns = 0
         """When the estop message was sent that was handled last. It is needed because several subscriptions receive the
         messages of a reliable publisher."""
@@ -149,6 +150,11 @@ class Inward:
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)
             self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=False)
+            # With such a subscription, ROS warns that every other publisher of estop is not heard, so it is made only
+            # if it is needed. It still gets the last message.
+            if not self._hears_lasting and any(publisher.lasting for publisher in publishers):
+                self._hears_lasting = True
+                self._subscribe(ESTOP_LASTING, self._estop)
         self._resubscribe()
         if self._unnamed_ns and now_ns - self._unnamed_ns > NAMELESS_NS:
             self._unnamed_ns = 0

@@ -27,7 +27,8 @@ STILL = {
     f"{NODE}/emergency_stop": ("std_msgs/msg/Bool", 30),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", 3),
 }
-ESTOPS = (contract.ESTOP, contract.ESTOP_LASTING, contract.ESTOP_LOSSY)
+ESTOPS = (contract.ESTOP, contract.ESTOP_LOSSY)
+"""Without a transient local publisher of estop there is no lasting subscription, because ROS would warn of it."""
 DRIVEN = {"wheel/odom": ("nav_msgs/msg/Odometry", 100), "joint_states": ("sensor_msgs/msg/JointState", 20)}
 
 
