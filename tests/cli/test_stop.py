@@ -16,6 +16,7 @@ from failstop import instances
 from failstop.api import ask
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
+from failstop.files import instance
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop_lab.trial import wait_for
@@ -65,6 +66,29 @@ def test_the_stop_of_another_service_at_a_port_that_is_a_guess_is_no_success(
     said = capsys.readouterr()
     assert STOPPED[0] in said.out
     assert (ELSEWHERE if last else "the stop went to /dev/ttyACM0, the default") in said.err
+
+
+@pytest.mark.parametrize(("port", "asks"), [("/dev/ttyACM0", False), ("/dev/ttyACM1", True)])
+@pytest.mark.parametrize("there", [True, False, None])
+def test_for_systemd_only_the_service_that_has_the_dead_run_s_board_is_asked(
+    monkeypatch: pytest.MonkeyPatch, port: str, asks: bool, there: bool | None
+) -> None:
+    """The settings' port may be a healthy robot's by now, whose service would stop it instead."""
+    target = stop.Target(Namespace(device=None, wait=None, name="right", config="its.toml"), last_first=True)
+    monkeypatch.setattr(stop.Target, "_file", {stop.DEVICE: "/dev/ttyACM0"})
+    monkeypatch.setattr(stop.Target, "_last", instance.Last("/dev/ttyACM1"))
+    monkeypatch.setattr(stop.Target, "_is_at_last_port", lambda _: there)
+    monkeypatch.setattr(instances, "listening", lambda: ["left"])
+    monkeypatch.setattr(ask, "port_of", lambda _: port)
+    asked: list[str] = []
+
+    def answer(name: str, *_: str) -> tuple[str, str, bool]:
+        asked.append(name)
+        return STOPPED
+
+    monkeypatch.setattr(ask, "stop", answer)
+    outcome = stop._ask_services(stop.Order("right", "", "failstop stop", target))
+    assert (outcome, asked) == ((0, ["left"]) if asks and there else ("", []))
 
 
 FORKS = os.SCHED_RESET_ON_FORK

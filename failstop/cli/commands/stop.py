@@ -158,6 +158,11 @@ def _ask_services(order: Order) -> Outcome:
     running, ask every service that may use the port instead."""
     try:
         device = order.target.wanted()
+        if (last := order.target.of_dead_run()) is not None:
+            # The settings' port may be another robot's by now. Its service can't stop this robot.
+            if not last:
+                return ""
+            device = last
         if not device and instances.listens(order.name):
             return _ask(order, [order.name], "")
         running = instances.listening()
@@ -319,6 +324,13 @@ class Target:
         """Return the port that the user has named, with --device or in the file given with --config. Empty if there is
         none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
+
+    def of_dead_run(self) -> str | None:
+        """Return the port of the last run if its board is there, and "" if not. None if the last run does not come
+        first, because there was none, or this command is not for systemd, or the user has named a port."""
+        if not self._last_first or self._given.get(DEVICE) or not self._last.device:
+            return None
+        return self._last.device if self._is_at_last_port() else ""
 
     def learn(self, device: str, owner: int | None) -> None:
         """Remember the port of a running service. `owner`: the uid of the user who runs that service."""
