@@ -100,6 +100,19 @@ def usb_text(number: int, sysfs: str = "/sys") -> str:
     return found.text if found else ""
 
 
+def is_still(now: str, before: str) -> bool | None:
+    """Compare two texts of usb_text(): the device at a port now, and the board that was there. Returns True if they are
+    the same device in the same socket, and False if no row of CHOICES would take the device for the board. Otherwise
+    None, also if one of them is not known."""
+    if now == before:
+        return True
+    if not (now and before):
+        return None
+    (what, _, place), (its_what, _, its_place) = now.rpartition("|"), before.rpartition("|")
+    spare = place == its_place and what.split("|")[:2] == its_what.split("|")[:2]
+    return None if what == its_what or spare else False
+
+
 def refuse_stranger(path: str, board: Board, sysfs: str = "/sys") -> None:
     """Raise port.PortError if the device at this path certainly is not the board, by its USB id. Call this before a
     port is opened that nobody has named: it may belong to another program."""

@@ -18,7 +18,7 @@ from failstop_lab.machine.kernel import Machine
 from failstop_lab.machine.port import Port
 from failstop_lab.machine.process import Process
 from failstop_lab.machine.robot import BoardPort, Robot
-from failstop_lab.machine.usb import Plug
+from failstop_lab.machine.usb import LookAlike, Plug
 
 FILE = "/root/failstop.toml"
 PORTS = ("board", "other", "ttyACM0", "last", "left")
@@ -56,12 +56,13 @@ class Tool:
         self.boards: dict[str, Heard] = {}
         self.environ: dict[str, str] = {}
 
-    def last_run(self, device: str, *servos: int, name: str = "failstop", kind: str = "rrc") -> None:
+    def last_run(self, device: str, *servos: int, name: str = "failstop", kind: str = "rrc", usb: str = "") -> None:
         """A service that somebody has started by hand, and that has died, was on this port."""
         load = self.lab.loader.load
         found = load("failstop.files.instance")
         found.remember(
-            load("failstop.instances").make_runtime_dir(name), found.Last(device, "failstop run", servos, kind)
+            load("failstop.instances").make_runtime_dir(name),
+            found.Last(device, "failstop run", servos, kind, usb=usb),
         )
 
     def run(self, *words: str) -> tuple[int, str, str]:
@@ -302,6 +303,40 @@ def test_the_default_port_is_left_alone_where_it_is_certainly_another_device(wor
         return
     assert (code, heard) == (1, b"")
     assert "/dev/ttyACM0 is USB 0483:5740, not the board, so it was not opened: set device.path and board.kind" in err
+
+
+ANOTHER, MOVED, SPARE = "1a86|55d4||1.0|1-1.2", "0483|5740||1.0|1-1.4", "0483|5740|A|1.0|1-1.2"
+"""The board of the last run: certainly not STRANGER, perhaps in another socket, perhaps the one before."""
+
+
+@pytest.mark.parametrize("last", ["/dev/ttyACM0", "/dev/gone"])
+@pytest.mark.parametrize("words", ["", "--end-service", "--last-port"])
+def test_after_a_run_the_default_port_is_left_alone_too(tool: Tool, words: str, last: str) -> None:
+    tool.lab.write(FILE, "")
+    stranger = LookAlike()
+    tool.lab.plug_usb("ttyACM0", STRANGER, stranger)
+    tool.last_run(last, usb=ANOTHER)
+    in_service(tool)
+    code, _, err = tool.run(*words.split(), "--wait", "0", "--config", FILE)
+    assert (code, bytes(stranger.heard)) == (1, b"")
+    assert "does not exist either" not in err
+
+
+@pytest.mark.parametrize(
+    ("usb", "device"), [(ANOTHER, "board"), (MOVED, "ttyACM1"), (SPARE, "ttyACM1"), ("", "ttyACM1")]
+)
+def test_a_stop_by_hand_goes_to_no_other_device_at_the_last_run_s_port(tool: Tool, usb: str, device: str) -> None:
+    tool.lab.write(f"{config.FOLDER}/failstop.toml", 'device.path = "/dev/board"\n')
+    tool.plug("board")
+    at_last = LookAlike()
+    tool.lab.plug_usb("ttyACM1", STRANGER, at_last)
+    tool.last_run("/dev/ttyACM1", usb=usb)
+    code, _, err = tool.run("--wait", "0")
+    assert code == 1
+    heard = {"ttyACM1": bytes(at_last.heard), "board": tool.boards["/dev/board"].data}
+    assert [name for name, data in heard.items() if BURST in data] == [device]
+    told = "another device is at /dev/ttyACM1, the port of the last run, so the stop went to /dev/board. If that"
+    assert (told in err) == (device == "board")
 
 
 # What the board says to it.

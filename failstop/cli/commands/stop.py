@@ -75,8 +75,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--device",
         metavar="PATH",
-        help=f"the board's port (default: {DEVICE} of the file given with --config, else the last run's port, else "
-        f"{DEVICE} of the installed file, else {device})",
+        help=f"the board's port (default: {DEVICE} of the file given with --config, else the last run's port, "
+        f"unless another device is there, else {DEVICE} of the installed file, else {device})",
     )
     parser.add_argument(
         "--wait",
@@ -282,8 +282,9 @@ def _every_service(reason: str, who: str) -> int:
 class Target:
     """Chooses the port for the stop, and how long to try. The port comes from the first of these that names one: the
     option --device, the file given with --config, a running service, the last run, the installed settings file, and the
-    default. With `last_first`, the last run comes before the file, as long as its board is still at its port: somebody
-    may have edited the file since the service started, or the board may have come back at another port.
+    default. The last run does not count if the device at its port is certainly another one. With `last_first`, the last
+    run comes before the file, as long as its board is still at its port: somebody may have edited the file since the
+    service started, or the board may have come back at another port.
 
     The settings file is read only if it is needed. Only its settings about the stop are checked, so that a mistake in
     another setting can't prevent the stop."""
@@ -349,8 +350,8 @@ class Target:
         if named := self._given.get(DEVICE):
             return str(named), 0
         last = self._last.device, self._last.owner
-        at_last = self._is_at_last_port() if self._last_first and last[0] else None
-        if at_last:
+        at_last = self._is_at_last_port()
+        if at_last and self._last_first:
             return last
         if self._config and DEVICE in self._file:
             return self._guess()
@@ -359,14 +360,17 @@ class Target:
         return last if last[0] and at_last is not False else self._guess()
 
     def _is_at_last_port(self) -> bool | None:
-        """Return True if the device that the last run had is still at the last run's port, False if another device is
-        there now, and None if there is none."""
-        from failstop.board import finder  # imported only here, because a stop by hand does not need it
+        """Return True if the device that the last run had is still at the last run's port, and False if the device
+        there is certainly another one. None if there is no device or was no last run, or if nobody can tell."""
+        if not self._last.device:
+            return None
+        from failstop.board import finder  # imported only here, because a stop without a last run does not need it
 
         try:
-            return finder.usb_text(os.stat(self._last.device).st_rdev) == self._last.usb
+            now = finder.usb_text(os.stat(self._last.device).st_rdev)
         except OSError:
             return None
+        return finder.is_still(now, self._last.usb)
 
     def board(self) -> Board:
         """Return the board at the port. Its kind comes from the last run if that run used this port, else from the
@@ -399,8 +403,9 @@ class Target:
         return str(self._file.get(KIND, ""))
 
     def _is_the_last_s(self) -> bool:
-        """Return True if the last run used the port that was chosen for the stop."""
-        return self._last.device == self.device()
+        """Return True if the last run used the port that was chosen for the stop, and the device there is not certainly
+        another one."""
+        return self._last.device == self.device() and self._is_at_last_port() is not False
 
     def assumes_kind(self) -> bool:
         """Return True if the kind of board is not known, so that the stop of the default kind is written."""
@@ -471,9 +476,7 @@ class Target:
             # Chosen again for each try, because devices may come and go meanwhile.
             device, owner = self._chosen()
             if self._is_default():
-                from failstop.board import finder  # imported only here, because few stops need it
-
-                finder.refuse_stranger(device, self.board())
+                _refuse_stranger(device, self.board())
             return stop_tool.write(device, self.board(), named_by=owner)
 
         def wait_s(error: PortError) -> float:
@@ -512,6 +515,8 @@ class Target:
         if not self._is_last() or other[0] == self._last.device:
             return False
         try:
+            if DEVICE not in self._file:
+                _refuse_stranger(other[0], self.board())
             self._held = stop_tool.write(other[0], self.board(), named_by=other[1])
         except PortError:
             return False
@@ -596,9 +601,15 @@ class Target:
                 f"{gone}, so the stop went to {self._instead[0]}. If that is not the board, name its port with --device"
             )
             return True
-        if self._is_last():
+        if self._is_last() or self.wanted() or self._known[0]:
             return False
-        if self.wanted() or self._known[0] or DEVICE in self._file:
+        if not self._last_first and self._is_at_last_port() is False:
+            standard.say(
+                f"another device is at {self._last.device}, the port of the last run, so the stop went to "
+                f"{self.device()}. If that is not the board, name its port with --device"
+            )
+            return True
+        if DEVICE in self._file:
             return False
         if not self._unknown and self._name == instance.DEFAULT_NAME:
             return False
@@ -624,7 +635,9 @@ class Target:
         that process can be found."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
-            return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
+            other = self._guess()[0]
+            neither = f"no stop could be written to {other}" if os.path.exists(other) else f"{other} does not exist"
+            return f"{error} (the last run used it; {neither} either); {MAY_TURN}"
         if self.is_not_theirs(error):
             what = "is not a serial port" if error.kind == "not-a-tty" else "that user may not open it"
             named = f"a file of {place.user(owner)} names {device}, but {what}"
@@ -638,6 +651,13 @@ class Target:
         if os.geteuid():
             ways.append(f"`sudo failstop stop --device {device}`, which writes anyway")
         return f"{device} is held exclusively by {by}{asked}: {', or '.join(['use the POWER SWITCH', *ways])}"
+
+
+def _refuse_stranger(device: str, board: Board) -> None:
+    """Raise PortError if the device is certainly not the board. For a port that nobody has named."""
+    from failstop.board import finder  # imported only here, because few stops need it
+
+    finder.refuse_stranger(device, board)
 
 
 def _end_service() -> bool:
