@@ -247,6 +247,45 @@ def test_for_systemd_the_port_of_the_dead_run_is_tried_until_it_is_back(tool: To
     assert tool.boards["/dev/last"].without_pings() == BURST
 
 
+@pytest.mark.parametrize("words", ["--end-service", "--last-port --wait 12"])
+def test_for_systemd_a_port_of_the_settings_that_is_not_there_is_waited_for_too(tool: Tool, words: str) -> None:
+    """Without it the service does not start. If the tool ended at once, systemd would soon give up."""
+    tool.lab.write(FILE, 'device.path = "/dev/board"\n')
+    tool.last_run("/dev/last")
+    in_service(tool)
+    tool.plug("last")
+    begun_ns = tool.machine.now_ns
+    code, out, err = tool.run(*words.split(), "--config", FILE)
+    assert code == ("--last-port" in words), "a unit that has stopped its board has not failed"
+    assert out.startswith("stop frame sent (after 0.0 s)") or "--last-port" in words
+    assert err.splitlines()[-1].startswith("failstop: no device /dev/board")
+    assert err.endswith("; the stop went only to /dev/last, where the last run had the board\n")
+    assert (tool.machine.now_ns - begun_ns) / 1e9 == pytest.approx(12.0, abs=0.4)
+    tool.boards["/dev/last"].data = b""
+    tool.machine.at(tool.machine.now_ns + 3_000_000_000, lambda: tool.plug("board"))
+    code, out, _ = tool.run(*words.split(), "--config", FILE)
+    assert (code, out.splitlines()[-1]) == (0, "stop frame sent to /dev/board too, the port in the settings")
+    assert [tool.boards[f"/dev/{name}"].without_pings() for name in ("last", "board")] == [BURST] * 2
+
+
+@pytest.mark.parametrize("kind", ["vesc", "nonsense"])
+def test_what_is_wrong_with_the_settings_port_makes_no_failure_of_a_stop(tool: Tool, kind: str) -> None:
+    tool.lab.write(FILE, f'device.path = "/dev/board"\nboard.kind = "{kind}"\nstop.wait_s = 0\n')
+    tool.last_run("/dev/last")
+    in_service(tool)
+    tool.plug("last")
+    assert tool.run("--end-service", "--config", FILE)[0] == 0
+    assert tool.boards["/dev/last"].without_pings() == BURST
+
+
+def test_for_systemd_the_default_port_counts_where_the_file_names_none(tool: Tool) -> None:
+    """The board was at another number, and comes back at the default one."""
+    tool.lab.write(FILE, "")
+    tool.last_run("/dev/gone")
+    in_service(tool)
+    assert tool.goes("--end-service", "--config", FILE)[:2] == (0, "/dev/ttyACM0")
+
+
 def test_a_last_run_s_port_that_fails_is_no_reason_to_write_to_another(tool: Tool) -> None:
     tool.lab.write("/dev/no-tty", "")
     tool.last_run("/dev/no-tty")
@@ -320,6 +359,22 @@ def test_after_a_run_the_default_port_is_left_alone_too(tool: Tool, words: str, 
     code, _, err = tool.run(*words.split(), "--wait", "0", "--config", FILE)
     assert (code, bytes(stranger.heard)) == (1, b"")
     assert "does not exist either" not in err
+
+
+def test_a_stranger_at_the_default_port_is_not_written_after_the_last_run_s(tool: Tool) -> None:
+    tool.lab.write(FILE, "")
+    stranger = LookAlike()
+    tool.plug("last")
+    tool.lab.plug_usb("ttyACM1", STRANGER, stranger)
+    folder = tool.machine.root.names["dev"]
+    assert isinstance(folder, Directory)
+    folder.put("ttyACM0", folder.names["ttyACM1"])
+    tool.last_run("/dev/last")
+    in_service(tool)
+    code, _, err = tool.run("--end-service", "--wait", "2", "--config", FILE)
+    assert (code, bytes(stranger.heard)) == (0, b"")
+    assert "/dev/ttyACM0 is USB 0483:5740, not the board" in err, "the service would not open it either"
+    assert tool.boards["/dev/last"].without_pings() == BURST
 
 
 @pytest.mark.parametrize(

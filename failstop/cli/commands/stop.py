@@ -100,7 +100,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--last-port",
         action="store_true",
         help="if the board of the last run is still at the port that this run had, write to it, even if the file given "
-        "with --config names another port; only for the systemd units",
+        "with --config names another port; then wait for that port and write to it too, if the service could not open "
+        "it; only for the systemd units",
     )
 
 
@@ -112,6 +113,7 @@ def main(arguments: Namespace) -> int:
 
     - The stop may have gone to the wrong port.
     - The stop was written to the port of a service that was not asked, so this service may drive on.
+    - With --last-port, the settings name another port than the last run's, and no stop could be written there.
     - The board has not answered, although this kind of board answers. (With --end-service, this is printed, but does
       not make the result 1.)
     - A service has written the stop, but the wheels may still turn.
@@ -230,7 +232,9 @@ def _write_to_port(order: Order) -> Outcome:
     sent = f"stop frame{whose} sent (after {after_s:.1f} s), directly to {target.described()}{why}{unless}"
     standard.print_line(sent)
     unheard, bypassed = target.unheard(patient=True), target.bypassed()
-    return int(target.doubtful() or unheard or bypassed)
+    doubtful = target.doubtful()
+    missed = target.missed()  # if True, systemd starts failstop-late again, which goes on trying
+    return int(doubtful or unheard or bypassed or missed)
 
 
 ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
@@ -261,7 +265,10 @@ def _end(target: Target, start_s: float) -> int:
         raise FailstopError(target.explained(error)) from None
     standard.print_line(f"stop frame sent (after {after_s:.1f} s)")
     target.unheard(patient=False)  # only printed, because the unit has not failed
-    return int(target.doubtful() or misused)
+    doubtful = target.doubtful()
+    # The result is that of the last run's board, which the service has driven.
+    target.missed(END_SERVICE_S - (time.monotonic() - start_s))
+    return int(doubtful or misused)
 
 
 def _every_service(reason: str, who: str) -> int:
@@ -310,11 +317,12 @@ class Target:
         """The services that were asked to stop the robot, but have not confirmed it."""
         self.unproved = False
         """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
-        self._instead = ("", 0)
-        """The port to which the stop was written because the port of the last run could not be used, and the uid of the
-        user whose settings file names it. ("", 0) if this did not happen."""
+        self._at = ("", 0)
+        """The port to which the stop was written, and the uid of the user whose file names it. ("", 0) before that.
+        What follows, such as the stop of the arm, goes to the same port, even if devices come and go meanwhile."""
         self._instead_of = ""
-        """Why the port of the last run could not be used, as the end of a sentence."""
+        """Why the port of the last run could not be used, as the end of a sentence. Empty if the stop was not written
+        to another port because of that."""
         self._held = False
         """True if a service had the port when the stop was written to it."""
         self._stopped = False
@@ -345,15 +353,16 @@ class Target:
     def _chosen(self) -> tuple[str, int]:
         """Return the port to write to, and the uid of the user whose file names it. The uid is 0 for root's file, an
         option or the default."""
-        if self._instead[0]:
-            return self._instead
+        if self._at[0]:
+            return self._at
         if named := self._given.get(DEVICE):
             return str(named), 0
         last = self._last.device, self._last.owner
         at_last = self._is_at_last_port()
         if at_last and self._last_first:
             return last
-        if self._config and DEVICE in self._file:
+        # For systemd, the settings' port is where the service starts next, also if that is the default.
+        if self._config and (DEVICE in self._file or (self._last_first and not self._unknown)):
             return self._guess()
         if self._known[0]:
             return self._known
@@ -422,7 +431,7 @@ class Target:
         return f"{self.device()}{of}"
 
     def _is_last(self) -> bool:
-        if not self._last.device or self.wanted() or self._known[0] or self._instead[0]:
+        if not self._last.device or self.wanted() or self._known[0]:
             return False
         return self._is_the_last_s()
 
@@ -477,7 +486,9 @@ class Target:
             device, owner = self._chosen()
             if self._is_default():
                 _refuse_stranger(device, self.board())
-            return stop_tool.write(device, self.board(), named_by=owner)
+            held = stop_tool.write(device, self.board(), named_by=owner)
+            self._at = device, owner
+            return held
 
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
@@ -494,7 +505,7 @@ class Target:
 
         try:
             after_s, held = stop_tool.stop(write, wait_s, standard.say, another)
-            if elsewhere and not self._instead[0]:
+            if elsewhere and not self._instead_of:
                 return after_s
             self._stopped, self._held = True, held or self._held
             if servos := self._servos():  # after the wheels, the arm
@@ -520,9 +531,41 @@ class Target:
             self._held = stop_tool.write(other[0], self.board(), named_by=other[1])
         except PortError:
             return False
-        self._instead = other
+        self._at = other
         self._instead_of = NO_USE[error.kind]
         return True
+
+    def missed(self, most_s: float = inf) -> bool:
+        """If the stop was written to the last run's port, but the settings name another one that can't be used, try to
+        write the stop there too, for at most `most_s` seconds. Returns True if that did not work.
+
+        The service can't start without that port. So if this command ended at once, systemd would start the service
+        again and again, until it gives up. Then nobody would stop a board that comes to that port.
+        """
+        wrote_to, other = self.device(), self._guess()
+        if not (self._last_first and self._config) or self._given.get(DEVICE) or self._unknown:
+            return False
+        if wrote_to != self._last.device or other[0] == wrote_to:
+            return False
+        self._at, self._stopped = other, False
+        try:
+            if self._is_usable():
+                return False
+            self.stop(most_s)
+        except (PortError, FailstopError) as error:
+            standard.say(f"{error}; the stop went only to {wrote_to}, where the last run had the board")
+            return True
+        standard.print_line(f"stop frame sent to {other[0]} too, the port in the settings")
+        return False
+
+    def _is_usable(self) -> bool:
+        """Return True if the service could open the port. This does not open it, because that resets some boards."""
+        try:
+            if self._is_default():
+                _refuse_stranger(self.device(), self.board())
+        except PortError:
+            return False
+        return os.access(self.device(), os.R_OK | os.W_OK)
 
     def is_not_theirs(self, error: PortError) -> bool:
         """Return True if this program, as root, has refused to open the port that a user's file names. As root it
@@ -595,10 +638,10 @@ class Target:
 
     def doubtful(self) -> bool:
         """Print a warning and return True if the stop was written to a port that was only guessed."""
-        if self._instead[0]:
+        if self._instead_of:
             gone = f"{self._last.device}, the port of the last run, {self._instead_of}"
             standard.say(
-                f"{gone}, so the stop went to {self._instead[0]}. If that is not the board, name its port with --device"
+                f"{gone}, so the stop went to {self.device()}. If that is not the board, name its port with --device"
             )
             return True
         if self._is_last() or self.wanted() or self._known[0]:
