@@ -58,10 +58,18 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
 
 
 def unreadable(path: str, user: str) -> str:
-    """Say that this user can't read a settings file, and what to do."""
+    """Say that this user can't read a settings file, and what to do. `user`: the name of the user who runs this
+    program."""
     import shlex  # imported only here, so that a stop does not wait for it
 
-    return f"configuration {path} can't be read by {user}: sudo chmod 644 {shlex.quote(path)}"
+    text = f"configuration {path} can't be read by {user}"
+    try:
+        os.stat(path)
+    except PermissionError:  # the mode of the file does not help if a folder above it is closed
+        return f"{text}, because a folder above it lets only other users in: move the file to {FOLDER}"
+    except OSError:
+        pass
+    return f"{text}: sudo chmod 644 {shlex.quote(path)}"
 
 
 def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:

@@ -24,6 +24,7 @@ from failstop.doctor.table import CHECKS, examine
 from failstop.files import durable, place
 from failstop.policy import causes
 from failstop.policy.scale import capped
+from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, STATE_FOLDER, UNIT, but, look, of, on, serving
@@ -615,6 +616,20 @@ def test_an_installed_file_that_can_not_be_read_is_not_taken_for_none(
     who = place.user(os.geteuid())
     assert (path, problem) == (str(file), f"configuration {file} can't be read by {who}: sudo chmod 644 {file}")
     assert given.device == ("/dev/ttyACM0", "the default")
+
+
+def test_a_settings_file_in_a_closed_folder_is_not_helped_by_its_own_mode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    monkeypatch.setattr(durable, "open_regular", Mock(side_effect=refused))
+    monkeypatch.setattr(os, "stat", Mock(side_effect=refused))
+    with pytest.raises(SettingError) as told:
+        config.read("/home/anna/x.toml")
+    monkeypatch.undo()
+    assert str(told.value).endswith(
+        f", because a folder above it lets only other users in: move the file to {config.FOLDER}"
+    )
 
 
 def test_a_speed_that_the_service_caps_is_no_setting_of_its_own() -> None:
