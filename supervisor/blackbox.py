@@ -200,6 +200,6 @@ class BlackBox:
             life.wait(max(0, until_ns - monotonic_ns()) * 1e-9)
             life.close()
         self._reap()
-        for _ in self._savers:  # systemd's stop tool kills them next
-            self._not_saved("the service ended before it was written")
+        for _ in self._savers:  # systemd's stop tool kills them next; without systemd they may still finish
+            self._not_saved("the service ended while it was being written, so the file may be missing")
         self._events.flush()

@@ -103,8 +103,8 @@ class Opener:
     """A thread of the supervisor that opens a lost port as soon as it is back, and writes the burst to it. The
     supervisor's loop must not do this itself, because a slow board may need seconds until its port is open.
 
-    After begin(), only the thread may use `finder`. But the loop may read `finder.at`, `finder.sure` and
-    `finder.settled`.
+    After begin(), only the thread may use `finder`. But the loop may read `finder.at`, `finder.usb`,
+    `finder.sure` and `finder.settled`.
 
     After a loss, the thread may have opened a wrong device for lack of a better one. So it keeps looking for the real
     board. If the board appears, the thread sets `misplaced` and rings the bell.

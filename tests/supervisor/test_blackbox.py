@@ -197,7 +197,7 @@ def test_a_stop_that_gets_no_file_gets_a_word(scene: Scene) -> None:
         latched(scene, epoch)
     scene.supervisor.blackbox.finish()
     waiting = lost("the service ended while earlier stops were being saved", TOO_OFTEN)
-    assert scene.said() == [waiting] * 2 + [lost("the service ended before it was written")] * MOST_SAVERS
+    assert scene.said() == [waiting] * 2 + [lost(LEFT)] * MOST_SAVERS
     assert len(scene.born) == MOST_SAVERS
 
 
@@ -211,6 +211,9 @@ def test_the_black_box_saves_nothing_where_that_is_off() -> None:
 
 
 SAVED = ("incident", "notice", "incident 0012 saved; next: `failstop incident show 0012 --name stage`", {"id": "0012"})
+
+
+LEFT = "the service ended while it was being written, so the file may be missing"
 
 
 def lost(why: str, step: str = STEP) -> tuple[str, str, str, dict[str, Any]]:
@@ -338,7 +341,7 @@ def test_the_end_of_the_service_does_not_wait_for_a_saver_that_hangs(scene: Scen
     scene.supervisor.blackbox.finish()
     assert scene.now_ns == T0 + round(FINISH_S * 1e9), "for all of them together"
     assert list(map(hastened, scene.born)) == [True, True]
-    assert scene.said() == [lost("the service ended before it was written")] * 2
+    assert scene.said() == [lost(LEFT)] * 2
     for saver in scene.born:
         ends(scene, saver)
     assert scene.said() == [SAVED] * 2
