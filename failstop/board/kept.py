@@ -7,7 +7,7 @@ then.
 from __future__ import annotations
 
 from failstop.board.interface import Board
-from failstop.board.wire import MOST_STOPS, Port
+from failstop.board.wire import MOST_REPEATS, Port
 
 FIELDS = 7
 LONGEST_BURST = 4096
@@ -35,7 +35,7 @@ def unpack_stop(kept: str) -> Kept | None:
     except (ValueError, IndexError):
         return None
     times = (idle_ns, after_ns, *repeats)
-    fits = len(words) == FIELDS and 0 < len(burst) <= LONGEST_BURST and len(repeats) < MOST_STOPS
+    fits = len(words) == FIELDS and 0 < len(burst) <= LONGEST_BURST and len(repeats) < MOST_REPEATS
     if not fits or not all(0 <= ns <= MOST_NS for ns in times) or baud <= 0:
         return None
     return Kept(Port(baud=baud, dtr=bool(dtr), rts=bool(rts), deaf_ns=0, opening=()), idle_ns, after_ns, repeats, burst)

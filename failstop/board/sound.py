@@ -13,7 +13,7 @@ from math import isfinite
 from failstop.board import wire as words
 from failstop.board.checks import FrameError
 from failstop.board.interface import ServoBus
-from failstop.board.wire import MOST_STOPS, Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
+from failstop.board.wire import MOST_REPEATS, Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
 from failstop.data import Data
 
 TYPE_CHECKING = False
@@ -164,8 +164,8 @@ def _counts(wire: Wire) -> None:
     rows = stop.repeats_ns
     _hold(len(rows) == _WRITERS, f"WIRE.stop.repeats_ns has {len(rows)} rows, must have {_WRITERS}: one a writer")
     for at, row in enumerate(rows):
-        text = f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to {MOST_STOPS}"
-        _hold(0 < len(row) <= MOST_STOPS, text)
+        text = f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to {MOST_REPEATS}"
+        _hold(0 < len(row) <= MOST_REPEATS, text)
         rises = row[0] == 0 and list(row) == sorted({*row})
         text = f"WIRE.stop.repeats_ns[{at}] = {_shown(row)}, must begin with 0 and rise to {_S} ns at most"
         _hold(rises and row[-1] <= _S, text)

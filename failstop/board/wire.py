@@ -38,7 +38,7 @@ OBSERVED = "observed"
 """The proof that the wheels are at rest: the board's own reports of the wheels' speeds or positions show this. If a
 board can't give this proof, failstop may still see from an IMU that the robot is at rest."""
 
-MOST_STOPS = 32
+MOST_REPEATS = 32
 """How many times each writer may write a stop: the most times in a row of TimedStop.repeats_ns."""
 
 BITS_PER_BYTE = 10

@@ -121,9 +121,10 @@ def main(argv: list[str] | None = None) -> int:
 def _go_first() -> None:
     """Ask for real-time priority for the rest of this process, before the imports: on a busy computer, a program of
     ordinary priority needs seconds to start. The service's own processes, which have a higher one, still come first.
-    Without the right to it, the priority stays as it is."""
+    Without the right to it, or with a real-time priority already, the priority stays as it is."""
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK not in (os.SCHED_FIFO, os.SCHED_RR):
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def _main(words: list[str]) -> int:

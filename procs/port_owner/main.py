@@ -49,6 +49,7 @@ class PortOwner:
         self.board = board
         self.admission = Admission(board, settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = BusSchedule(board.arm, settings.servos())
+        self._stops_servos = bool(board.arm and board.arm.stops(settings.servos()))
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
         """The motion frame that waits until the line has been silent, because some boards need a pause between two
@@ -339,7 +340,8 @@ class PortOwner:
             and self.bus.wrote(move[0], now_ns)
         ):
             self._arm_moved = True
-            self.repeats.end()
+            if self._stops_servos:  # otherwise the repeated zero leaves the arm alone, and goes on
+                self.repeats.end()
             self._requests.wake()
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)

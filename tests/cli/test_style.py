@@ -132,7 +132,7 @@ def test_each_setting_s_unit_is_known() -> None:
             word="spin",
             arm=prove.ARM_WARNING.format(reach=0.25),
         ),
-        probe.WARNING.format(seconds=15, count=12, word="spin"),
+        probe.WARNING.format(seconds=15, count=12, word="spin", longer=""),
         on_stand.WARNING.format(device="/dev/ttyUSB0"),
     ],
     ids=["prove", "probe", "chaos"],

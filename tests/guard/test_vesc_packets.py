@@ -121,6 +121,23 @@ def test_a_speed_for_one_motor_keeps_the_other_one_no_longer_than_the_board_does
         assert found[1] in (0, board.wheels[1])
         assert bool(found[1]) == (at_ms < 450 + MOTOR_NS // MS)
     assert found == board.wheels == (1000, 0)
+    *refused, last = language.wrote(packet(RPM, 0), 2000 * MS)
+    assert [row.what for row in refused if isinstance(row, DriverRefusal)] == ["the last speed of one motor"]
+    assert isinstance(last, DriverMotion)
+    assert (tuple(last.speeds), last.refused) == ((0, 0), True), "the driver has not ended driving"
+    (last,) = language.wrote(behind(RPM, 0), 2000 * MS)
+    assert isinstance(last, DriverMotion)
+    assert not last.refused
+
+
+def test_a_car_is_steered_for_as_long_as_the_guard_keeps_its_speed() -> None:
+    """`guard.timeout_s` may be longer than the time after which one of two motors counts as silent."""
+    language = made(CAR)
+    language.wrote(packet(RPM, 1000), 0)
+    for at_ms in range(100, 2500, 100):
+        (row,) = language.wrote(packet(SERVO, 400, 2), at_ms * MS)
+        assert isinstance(row, DriverMotion)
+        assert (tuple(row.speeds), row.renews) == ((1000,), False)
 
 
 @pytest.mark.parametrize(

@@ -296,6 +296,19 @@ def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> No
     assert scene.finish() == (records.DONE, "arm is there")
 
 
+def test_reading_a_released_arm_does_not_make_it_tuck_itself(arm_with: Make) -> None:
+    """Somebody may hold it; LeRobot reads an arm without torque when it connects."""
+    scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
+    scene.execute({1: 0.2})
+    scene.finish()
+    scene.ask_for(records.ARM_RELEASE)
+    scene.run(0.2)
+    scene.ask_for(records.ARM_READ)
+    assert scene.finish()[0] == records.DONE
+    scene.run(10.0)
+    assert all(servo.limp() for servo in scene.servos.by_id.values())
+
+
 @pytest.mark.parametrize("how", ["fails", "is ended", "is off", "is there already"])
 def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how: str) -> None:
     off: dict[str, object] = {"arm__auto_tuck": "off"} if how == "is off" else {}

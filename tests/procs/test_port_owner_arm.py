@@ -148,6 +148,21 @@ def test_the_gate_can_drop_the_frames_that_wait_without_a_stop(scene: Scene) -> 
     assert scene.turn(5 * MS) == b""
 
 
+@pytest.mark.claim("BOARD-1")
+def test_the_wheels_zero_is_repeated_while_an_arm_on_their_bus_moves_and_afterwards() -> None:
+    """Neither the zero nor the burst of that bus touches the arm's servos, and the end of its movement writes none."""
+    scene = Scene(**{"board.kind": "feetech", "joints.pan.servo": 4, "joints.pan.zero": 2048})
+    bus = scene.owner.board.arm
+    assert bus
+    zero, move = scene.owner.board.refresh, bus.move([(4, 2000)], 40)
+    settle(scene)
+    wrote = scene.forward(move, kind=records.ARM) + b"".join(scene.turn(5 * MS) for _ in range(200))
+    assert move in wrote
+    assert wrote.count(zero) >= 4
+    scene.put(b"", kind=records.DROP_ARM)
+    assert b"".join(scene.turn(5 * MS) for _ in range(200)).count(zero) >= 4
+
+
 def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE

@@ -35,6 +35,9 @@ _PASSED_ON = frozenset((_VERSION, _VALUES))
 _NO_PACKET = DriverRefusal(
     "bytes that are not a packet", "the board skips them too: is the driver made for this board?"
 )
+_SILENT_MOTOR = DriverRefusal(
+    "the last speed of one motor", "the driver has not commanded it for 1 s, so it was stopped: does a thread hang?"
+)
 _NO_SPEED = {
     codec.DUTY: "a duty cycle",
     _CURRENT: "a current",
@@ -55,6 +58,9 @@ class VescDriver:
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]
         self._commanded_ns = [0] * len(self._speeds)
         """The time of the driver's newest command for each motor, in ns."""
+        self._silent: set[int] = set()
+        """The motors that were stopped because the driver had not commanded them. It has not ended driving, so if it
+        dies, that counts as the death of a driver."""
         self._angle_rad: float | None = None if steering is None else 0.0
         self._wrote = self._heard = b""
 
@@ -88,7 +94,7 @@ class VescDriver:
             question = codec.FIRMWARE if command == _VERSION else codec.VALUES
             return [DriverFrame(question, str(command), asks=True)]
         if command == codec.SERVO:
-            return self._steer(data, now_ns)
+            return self._steer(data)
         if command == _ALIVE:
             return []
         if command == _BRAKE:
@@ -105,19 +111,23 @@ class VescDriver:
 
     def _set(self, motor: int, erpm: float, now_ns: int) -> list[Row]:
         self._speeds[motor], self._commanded_ns[motor] = erpm, now_ns
-        return [self._motion(now_ns)]
+        self._silent.discard(motor)
+        for other, commanded_ns in enumerate(self._commanded_ns):
+            if self._speeds[other] and now_ns - commanded_ns >= MOTOR_NS:
+                self._speeds[other] = 0.0
+                self._silent.add(other)
+        motion = self._motion(refused=bool(self._silent))
+        return [_SILENT_MOTOR, motion] if self._silent else [motion]
 
-    def _motion(self, now_ns: int, *, renews: bool = True) -> DriverMotion:
-        for motor, commanded_ns in enumerate(self._commanded_ns):
-            if now_ns - commanded_ns >= MOTOR_NS:
-                self._speeds[motor] = 0.0
-        return DriverMotion(tuple(self._speeds), steering_rad=self._angle_rad, renews=renews)
+    def _motion(self, *, renews: bool = True, refused: bool = False) -> DriverMotion:
+        return DriverMotion(tuple(self._speeds), refused=refused, steering_rad=self._angle_rad, renews=renews)
 
     def _stopped(self) -> list[Row]:
         self._speeds = [0.0] * len(self._speeds)
-        return [DriverMotion(tuple(self._speeds), refused=True, steering_rad=self._angle_rad)]
+        self._silent.clear()
+        return [self._motion(refused=True)]
 
-    def _steer(self, data: bytes, now_ns: int) -> list[Row]:
+    def _steer(self, data: bytes) -> list[Row]:
         if self._steering is None:
             return [DriverRefusal("the servo", 'failstop steers a base with wheels.layout = "ackermann" alone')]
         if len(data) < _PLACE.size:
@@ -125,7 +135,7 @@ class VescDriver:
         centre, per_rad = self._steering
         (place,) = _PLACE.unpack_from(data)
         self._angle_rad = (max(0, min(place, codec.WAY_US)) + codec.FIRST_US - centre) / per_rad
-        return [self._motion(now_ns, renews=False)] if any(self._speeds) else []
+        return [self._motion(renews=False)] if any(self._speeds) else []
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:

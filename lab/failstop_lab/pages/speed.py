@@ -75,11 +75,12 @@ def text(root: Path) -> str:
     found = report.last_campaign(root)
     rows = {row["name"]: row for row in found["rows"]}
     head = "| What happens | half of the stops within (p50) | 99 of 100 within (p99) | times tried |"
-    table = [head, "|---|---|---|---|", *(_line(line, [rows.get(name, NEVER) for name in line.rows]) for line in LINES)]
+    lines = [_line(line, [rows.get(name, NOT_TRIED) for name in line.rows]) for line in LINES]
+    table = [head, "|---|---|---|---|", *lines]
     return "\n".join((*table, "", _campaign(found, rows), "", _bench((root / MEASURED).read_text("utf-8"))))
 
 
-NEVER: dict[str, Any] = {"count": 0, "missed": 0}
+NOT_TRIED: dict[str, Any] = {"count": 0, "missed": 0}
 """A row that a campaign did not have."""
 
 
@@ -116,7 +117,7 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
         failstop's processes does.
 
         While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug the cable in
-        again, failstop sends a stop as soon as the port is back{_unplugged(rows.get("usb-drop", NEVER))}.
+        again, failstop sends a stop as soon as the port is back{_unplugged(rows.get("usb-drop", NOT_TRIED))}.
 
         All this was measured on {machine["date"]} with a simulated board, on a shared virtual machine with
         {machine["cores"]} cores. {ran} {found["count"]:,} faults of {kinds} kinds were injected at random

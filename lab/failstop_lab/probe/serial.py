@@ -323,6 +323,9 @@ class SerialProbe:
             stands_ns = self._stands(cause_ns)
             self._by_key = by_key
         self._end_driver()
+        if not self._gone_ns:  # the line may still be whole, and then this stops the wheels now
+            with contextlib.suppress(FailstopError):
+                self._order(STOP_WORD)
         if not cause_ns:
             self._say("Plug the board in again, then press Enter.")
         elif stands_ns is None:

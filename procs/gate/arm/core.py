@@ -144,7 +144,8 @@ class ArmCore:
         for joint in trajectory.joints:
             joint.misses = 0  # ask silent servos again
         self._reader.hurry(now_ns)
-        self.active_ns, self.released = now_ns, False
+        if trajectory.ends:  # reading where the arm is uses it as little as looking at it
+            self.active_ns, self.released = now_ns, False
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:

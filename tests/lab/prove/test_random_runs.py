@@ -58,7 +58,10 @@ def test_steps_are_taken_as_the_row_says(name: str) -> None:
     row, taken, waited = FAULT_BY_NAME[name], list[tuple[int, int]](), list[float]()
     Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).perform(PIDS, waited.append)
     numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
-    assert sorted(taken) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
+    first = [step for step in taken if step[1] == 19 and (step[0], 9) in taken]  # what dies at once stands still first
+    assert len(first) in (0, len(row.struck(KILL)))
+    steps = [step for step in taken if step not in first]
+    assert sorted(steps) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
     if CONTINUE in {action for action, _ in row.steps}:
         assert taken[-1][1] == 18
         assert row.bar_ms
