@@ -18,7 +18,7 @@ from failstop.board.checks import FrameError
 from failstop.board.described import Described
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.board.own import OwnBoardError
-from failstop.board.wire import ANSWERED, ECHOED, MOST_STOPS, Question, Wire, Write
+from failstop.board.wire import ANSWERED, ECHOED, MOST_REPEATS, Question, Wire, Write
 from failstop.data import Data
 from failstop.messages import layout
 from failstop_lab.sim.client import SimBoard
@@ -78,10 +78,10 @@ class Mute:
         return None
 
 
-@pytest.mark.parametrize("times", [MOST_STOPS, MOST_STOPS + 1])
+@pytest.mark.parametrize("times", [MOST_REPEATS, MOST_REPEATS + 1])
 def test_every_stop_that_a_description_may_have_can_be_kept(times: int) -> None:
     wire: Wire = changed(ARDUINO, "stop.repeats_ns", (tuple(range(times)),) * 3)
-    allowed = times == MOST_STOPS
+    allowed = times == MOST_REPEATS
     assert (sound.wrong(wire) == "") is allowed
     assert (kept.unpack_stop(kept.pack_stop(Described(wire, 100.0, 0.08))) is not None) is allowed
 

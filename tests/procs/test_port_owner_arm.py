@@ -151,7 +151,8 @@ def test_the_gate_can_drop_the_frames_that_wait_without_a_stop(scene: Scene) -> 
 @pytest.mark.claim("BOARD-1")
 def test_the_wheels_zero_is_repeated_while_an_arm_on_their_bus_moves_and_afterwards() -> None:
     """Neither the zero nor the burst of that bus touches the arm's servos, and the end of its movement writes none."""
-    scene = Scene(**{"board.kind": "feetech", "joints.pan.servo": 4, "joints.pan.zero": 2048})
+    changed: dict[str, Any] = {"board.kind": "feetech", "joints.pan.servo": 4, "joints.pan.zero": 2048}
+    scene = Scene(**changed)
     bus = scene.owner.board.arm
     assert bus
     zero, move = scene.owner.board.refresh, bus.move([(4, 2000)], 40)

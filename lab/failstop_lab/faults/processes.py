@@ -37,7 +37,7 @@ DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in PROCESS_
 TOOL_MS = 200.0
 """The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
 
-WRITERS = {SUPERVISOR, PORT_OWNER, STOPPER}
+STOP_WRITERS = {SUPERVISOR, PORT_OWNER, STOPPER}
 """Once these have died together, only the stop tool is left to write a stop."""
 SEVERAL_OF_THEM = [some for count in (2, 3, 4, 5) for some in itertools.combinations(PROCESS_NAMES, count)]
 
@@ -115,7 +115,7 @@ def _row(
         steps=steps,
         aftermath_s=fenced_s + SPARE_S,
         fences=fenced_s > 0 and not again,
-        stop_tool={(KILL, process) for process in WRITERS} <= set(steps),
+        stop_tool={(KILL, process) for process in STOP_WRITERS} <= set(steps),
         weight=weight,
     )
 
@@ -156,7 +156,7 @@ def _kill_many(processes: tuple[str, ...], *, apart: bool = False) -> Fault:
         first, bar_ms = "whoever is killed last, or the stop tool", TOOL_MS
     else:
         first, bar_ms = "systemd: the stop tool (ExecStopPost)", TOOL_MS
-    at_once = set(processes) >= WRITERS and not apart
+    at_once = set(processes) >= STOP_WRITERS and not apart
     when = "at once" if at_once else "one after the other, within 5 ms" if apart else "at once or within 5 ms"
     cause = f"SIGKILL of {_words(processes)}, {when}"
     steps = tuple((KILL, process) for process in processes)
@@ -192,7 +192,7 @@ ROWS = (
     _continued(GATE, "before it is fenced"),
     _continued(SUPERVISOR, "before systemd's watchdog"),
     *(_kill_many(some) for some in SEVERAL_OF_THEM),
-    *(_kill_many(some, apart=True) for some in SEVERAL_OF_THEM if set(some) >= WRITERS),
+    *(_kill_many(some, apart=True) for some in SEVERAL_OF_THEM if set(some) >= STOP_WRITERS),
     *(_kill_and_hang(killed, hung) for killed, hung in itertools.permutations(PROCESS_NAMES, 2)),
     *(_hang_both(*pair) for pair in HANG_OF_BOTH),
 )
