@@ -123,7 +123,7 @@ class Path:
         return dataclasses.replace(self, reaction_ms=max(self.reaction_ms, lease_ms)) if self.by_lease else self
 
     def under(self, settings: Settings) -> Path:
-        """The latch on a robot with these settings, where a driver that dies or falls silent may latch a stop."""
+        """The path on a robot with these settings, where a driver that dies or falls silent may latch a stop."""
         # Beside the wheels, the program that moves the arm drives too. Else motion is disabled, and nothing is latched.
         struck = self.arm.what if self.arm and self.arm.wheels_ms is not None else ""
         silent = self.kind == TIMEOUT or struck == arm_table.CLIENT_HANG
@@ -131,7 +131,8 @@ class Path:
             return dataclasses.replace(self, latched=((causes.DRIVER_SILENT,),))
         if struck == arm_table.CLIENT_KILL and settings.text("gate.driver_death") == LATCHES_DEATH:
             return dataclasses.replace(self, latched=((causes.DRIVER_DIED,),))
-        return self
+        # Its arm ends without a burst. The gate stops the wheels, because their commands are missing.
+        return dataclasses.replace(self, by_gate=True) if struck == arm_table.CLIENT_HANG else self
 
     def reaction_bar_ms(self, *, simulated: bool) -> float:
         """The written stop may take this long."""
