@@ -16,6 +16,7 @@ from failstop import instances
 from failstop.api import ask
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
+from failstop.cli.target import DEVICE, Target
 from failstop.files import instance
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
@@ -54,10 +55,10 @@ def test_the_stop_of_another_service_at_a_port_that_is_a_guess_is_no_success(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], last: bool
 ) -> None:
     """The robot that was meant may be at another port, and its wheels may turn."""
-    target = stop.Target(Namespace(device=None, wait=None, name="right", config=None))
-    monkeypatch.setattr(stop.Target, "_is_last", lambda _: last)
-    monkeypatch.setattr(stop.Target, "_file", {})
-    monkeypatch.setattr(stop.Target, "device", lambda _: "/dev/ttyACM0")
+    target = Target(Namespace(device=None, wait=None, name="right", config=None))
+    monkeypatch.setattr(Target, "_is_last", lambda _: last)
+    monkeypatch.setattr(Target, "_file", {})
+    monkeypatch.setattr(Target, "device", lambda _: "/dev/ttyACM0")
     monkeypatch.setattr(instances, "listens", lambda _: False)
     monkeypatch.setattr(instances, "listening", lambda: ["left"])
     monkeypatch.setattr(ask, "port_of", lambda _: "/dev/ttyACM0")
@@ -74,10 +75,10 @@ def test_for_systemd_only_the_service_that_has_the_dead_run_s_board_is_asked(
     monkeypatch: pytest.MonkeyPatch, port: str, asks: bool, there: bool | None
 ) -> None:
     """The settings' port may be a healthy robot's by now, whose service would stop it instead."""
-    target = stop.Target(Namespace(device=None, wait=None, name="right", config="its.toml"), last_first=True)
-    monkeypatch.setattr(stop.Target, "_file", {stop.DEVICE: "/dev/ttyACM0"})
-    monkeypatch.setattr(stop.Target, "_last", instance.Last("/dev/ttyACM1"))
-    monkeypatch.setattr(stop.Target, "_is_at_last_port", lambda _: there)
+    target = Target(Namespace(device=None, wait=None, name="right", config="its.toml"), last_first=True)
+    monkeypatch.setattr(Target, "_file", {DEVICE: "/dev/ttyACM0"})
+    monkeypatch.setattr(Target, "_last", instance.Last("/dev/ttyACM1"))
+    monkeypatch.setattr(Target, "_is_at_last_port", lambda _: there)
     monkeypatch.setattr(instances, "listening", lambda: ["left"])
     monkeypatch.setattr(ask, "port_of", lambda _: port)
     asked: list[str] = []

@@ -10,7 +10,7 @@ from failstop import config
 from failstop.board.rrc.arm import RrcArm
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
-from failstop.cli.commands import stop
+from failstop.cli import target
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop_lab.machine.files import Directory
@@ -535,7 +535,7 @@ def test_at_the_end_of_the_service_a_port_that_takes_nothing_is_left_to_another_
     port = folder.names["board"]
     assert isinstance(port, Port)
     port.drains = False
-    for words, least_s in (("--end-service", stop.STALLED_S), ("--wait 5", 5.0)):
+    for words, least_s in (("--end-service", target.STALLED_S), ("--wait 5", 5.0)):
         begun_ns = tool.machine.now_ns
         code, _, err = tool.run(*words.split(), "--device", "/dev/board")
         assert code == 1

@@ -24,7 +24,7 @@ from failstop.board.port import PortError
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
 from failstop.cli import main as cli
-from failstop.cli.commands import stop
+from failstop.cli import target
 from failstop.files import instance, root
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
@@ -116,7 +116,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
 def test_the_setting_is_declared_once() -> None:
     port = {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
     board = {"board.kind": "rrc", "board.baud": 0, "board.can_id": 1}
-    assert port | board == stop.DEFAULTS
+    assert port | board == target.DEFAULTS
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
