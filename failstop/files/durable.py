@@ -10,6 +10,7 @@ import contextlib
 import os
 import stat
 from errno import EINVAL, EPERM
+from itertools import count
 
 LEAST_ROOM = 1_000_000
 """The least free space on a disk, in bytes, with which failstop still writes files. An incident takes about half of
@@ -94,6 +95,18 @@ def write_new(path: str, data: bytes, like: str = "") -> None:
     except OSError:
         _drop(path)
         raise
+
+
+def replace(path: str, data: bytes) -> None:
+    """Write a file to a path that a person has chosen, completely or not at all. An existing file is replaced, but not
+    a device or a link. Raises OSError."""
+    check_replaceable(path)
+    for number in count():
+        draft = f"{path}.part{number or ''}"
+        with contextlib.suppress(FileExistsError):  # somebody else's file
+            write_new(draft, data)
+            break
+    publish(draft, path)
 
 
 def _resemble(fd: int, path: str) -> None:

@@ -19,7 +19,7 @@ import heapq
 import os
 import struct
 import zlib
-from itertools import count, pairwise
+from itertools import pairwise
 
 import msgpack
 
@@ -193,23 +193,11 @@ def _numbers(folder: str) -> set[int]:
 
 
 def write_as(path: str, data: bytes) -> None:
-    """Write a file to a path that a person has chosen, completely or not at all. An existing file is replaced, but not
-    a device or a link. Raises IncidentError."""
+    """Write a file to a path that a person has chosen, as durable.replace(). Raises IncidentError."""
     try:
-        durable.check_replaceable(path)
-        durable.publish(_written(path, data), path)
+        durable.replace(path, data)
     except OSError as error:
         raise IncidentError(f"{path} can't be written: {error.strerror}") from None
-
-
-def _written(path: str, data: bytes) -> str:
-    """Write a draft of the file `path` beside it, and return the draft's path. Raises OSError."""
-    for number in count():
-        draft = f"{path}.part{number or ''}"
-        with contextlib.suppress(FileExistsError):  # somebody else's file
-            durable.write_new(draft, data)
-            break
-    return draft
 
 
 def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:

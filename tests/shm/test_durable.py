@@ -246,3 +246,13 @@ def test_a_disk_that_says_nothing_keeps_no_file_out(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(os, "statvfs", refused)
     assert durable.no_room("/") == ""
+
+
+def test_what_replaces_a_file_touches_no_other_file(tmp_path: Path) -> None:
+    path, other = tmp_path / "report.txt", tmp_path / "report.txt.part"
+    path.write_text("old")
+    other.write_text("somebody else's")
+    durable.replace(str(path), b"new")
+    assert path.read_text() == "new"
+    assert other.read_text() == "somebody else's"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["report.txt", "report.txt.part"]

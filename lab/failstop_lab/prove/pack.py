@@ -160,8 +160,8 @@ def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]
     """Write the page and, beside it, the record; sign the page with an OpenSSH key. Returns the paths. Raises OSError,
     and FailstopError where it can't be signed."""
     page_path, beside, signature = _files(path)
-    saving.write(page_path, page(record))
-    saving.write(beside, canonical(record) + "\n")
+    durable.replace(page_path, page(record).encode())
+    durable.replace(beside, f"{canonical(record)}\n".encode())
     if not key:
         return [path, beside]
     Path(signature).unlink(missing_ok=True)

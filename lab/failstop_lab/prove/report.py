@@ -17,10 +17,10 @@ from typing import Any
 from failstop.api import distance
 from failstop.cli import style
 from failstop.doctor.machine import facts
+from failstop.files import durable
 from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.settings import Settings
 from failstop.supervisor.status import cost
-from failstop_lab.prove import saving
 from failstop_lab.prove.held import repeat
 from failstop_lab.prove.means import Means
 from failstop_lab.prove.run import Result
@@ -315,8 +315,8 @@ def save(evidence: Evidence, folder: str) -> list[str]:
     stamp = time.strftime("%Y-%m-%dT%H%M%SZ", time.gmtime(evidence.begun_unix_s))
     place = _new_folder(os.path.join(folder, stamp))
     paths = [os.path.join(place, name) for name in ("report.txt", "result.json")]
-    saving.write(paths[1], json.dumps(evidence.as_dict(), indent=1))
-    saving.write(paths[0], text(evidence))
+    durable.replace(paths[1], json.dumps(evidence.as_dict(), indent=1).encode())
+    durable.replace(paths[0], text(evidence).encode())
     shaken = isinstance(evidence.character, ByImu)
     picture = os.path.join(place, "gyro.png")
     return [*paths, picture] if shaken and _draw(evidence.results, picture) else paths

@@ -24,13 +24,6 @@ def unwritable(folder: str) -> str:
     return durable.no_room(place) or ("" if os.access(place, os.W_OK | os.X_OK) else f"you may not write to {place}")
 
 
-def write(path: str, text: str) -> None:
-    """Write a file, in place of an old one. Raises OSError, and then the old one stays, if there is one."""
-    durable.check_replaceable(path)
-    durable.write_draft(f"{path}.new", text.encode())
-    durable.publish(f"{path}.new", path)
-
-
 def save_each(saves: Iterable[Save]) -> tuple[list[str], list[str]]:
     """Save everything that can be saved, whatever becomes of the rest. Returns (the paths of the files, why others
     could not be saved)."""
