@@ -32,7 +32,7 @@ def rests(trial: ArmTrial, count: int, carriers: Carriers, say: Callable[[str], 
         for turn in range(times):
             say(f"{fault.name}, {turn + 1} of {times}")
             carriers.first()
-            found, _ = arm.strike(trial, fault)
+            found = arm.strike(trial, fault)
             stands += [round(found.rest_ms * 1e6)] if found.rest_ms is not None else []
             wrong += [found.wrong] if found.wrong else []
         rows.append(stats.timing(f"{fault.cause} -> every joint stands", stands, p50_ms=None, p99_ms=fault.bar_ms))

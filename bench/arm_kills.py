@@ -35,7 +35,7 @@ def measure(trial: ArmTrial, kills: int, seed: int, carriers: Carriers, say: Cal
             trial.recover(process, pid)
             trial.settle()
             carriers.first()
-            moving[process].append(arm.strike(trial, fault)[0])
+            moving[process].append(arm.strike(trial, fault))
     return [row for process in KILLS for row in rows_of(process, driving[process], moving[process])]
 
 

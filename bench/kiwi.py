@@ -127,7 +127,7 @@ class KiwiTrial(ArmTrial):
         """One fault at a moment of chance."""
         self._struck = not fault.process
         self._seconds = chance.uniform(0.2, 0.5)
-        return arm.strike(self, fault)[0]
+        return arm.strike(self, fault)
 
     def close(self) -> None:
         self.end_policy()

@@ -80,11 +80,11 @@ ESTOP = Topic(
     0,
     "true latches a stop (`estop topic`); false does nothing. The bridge hears best-effort publishers too. If a "
     "transient local publisher is still there, the bridge also gets its last message from before the bridge started, "
-    "so an old `true` latches again at each start of the bridge. For both, the bridge has further subscriptions "
-    "to this topic, the one for transient local publishers only once there is one. So ROS may warn of an incompatible "
-    "QoS on `estop`, although the bridge hears the publisher. A `true` that comes while no service runs, or while one "
-    "is ending, latches a stop as soon as one runs. A `true` "
-    "that a service has heard does not latch again after a restart of the service",
+    "so an old `true` latches again at each start of the bridge. For both, the bridge has further subscriptions to "
+    "this topic, the one for transient local publishers only once there is one. So ROS may warn of an incompatible QoS "
+    "on `estop`, although the bridge hears the publisher. A `true` that comes while no service runs, or while one is "
+    "ending, latches a stop as soon as one runs. A `true` that a service has heard does not latch again after a "
+    "restart of the service",
 )
 ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
 """A second subscription to the topic estop. Both are needed, because a reliable subscription does not hear a

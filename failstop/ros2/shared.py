@@ -5,7 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.api.state import State
+from failstop.messages.layout import SUPERVISOR
 from failstop.ros2.mirrors import RobotSettings
+
+
+def run_of(state: State) -> int:
+    """The pid of the supervisor, which identifies the run of the service."""
+    return state.processes[SUPERVISOR].pid
 
 
 @dataclasses.dataclass
@@ -19,7 +25,7 @@ class Shared:
     settings: RobotSettings | None = None
     """The settings of the present run. None if they are not known yet."""
     run: int = 0
-    """The pid of the supervisor, which identifies the run of the service. 0 before the first run."""
+    """run_of() the present run. 0 before the first run."""
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()

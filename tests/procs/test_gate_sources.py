@@ -136,7 +136,7 @@ def test_a_sensor_that_is_silent_and_back_is_told_of_once_with_its_age() -> None
 
 
 def test_a_sensor_that_is_back_before_a_later_enable_is_told_of_to_nobody() -> None:
-    """Nothing resumes then. If it is silent again, that is told of again."""
+    """Nothing resumes then. If it is silent again, that is reported again."""
     gate = scanning()
     cruise(gate, 0.1)
     fall_silent(gate)

@@ -90,6 +90,8 @@ class Rested:
     wrong: tuple[str, ...]
     fault_ns: int = 0
     events: tuple[Event, ...] = ()
+    again: tuple[str, ...] = ()
+    """Why each of the tries before was not counted."""
 
 
 class ArmTrial(Trial):
@@ -172,16 +174,16 @@ NOT_DRIVING = "the wheels were not turning at the fault"
 STRIKES = 3
 
 
-def strike(trial: ArmTrial, fault: ArmFault) -> tuple[Rested, list[str]]:
+def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     """One fault, judged by the servos; the trial is settled again afterwards, with a new run where it ended. One that
     came while nothing turned, because the machine did not run the client, is tried again, STRIKES times in all, unless
-    something else was wrong too. Also returns why each of the tries before was not counted."""
-    again: list[str] = []
+    something else was wrong too."""
+    again: tuple[str, ...] = ()
     while True:
-        rested = _strike(trial, fault)
+        rested = dataclasses.replace(_strike(trial, fault), again=again)
         if not rested.wrong or set(rested.wrong) - {NOT_TURNING, NOT_DRIVING} or len(again) == STRIKES - 1:
-            return rested, again
-        again.append("; ".join(rested.wrong))
+            return rested
+        again = (*again, "; ".join(rested.wrong))
 
 
 def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:

@@ -50,7 +50,7 @@ class Outcome:
     took_s: float = 0.0
     struck: bool = True
     """The fault was made to happen, or at least begun."""
-    again: list[str] = dataclasses.field(default_factory=list)
+    again: tuple[str, ...] = ()
     """Why each scene before this one ended before its fault, so that a new one was begun."""
 
     def story(self, seed: object) -> str:
@@ -222,7 +222,7 @@ def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, se
     """Inject one fault and judge it; what the row says must be seen within `seen_s`. After a fault that went wrong, the
     next one gets a new scene. A robot that was stopped before the fault is driven again, SETUPS times in all, and the
     outcome says why."""
-    again: list[str] = []
+    again: tuple[str, ...] = ()
     while True:
         scene.refresh()
         if isinstance(fault, ArmFault):
@@ -231,7 +231,7 @@ def inject_one(scene: Scene, fault: Row, index: int = 0, seed: object = 0, *, se
         outcome.again = again
         if outcome.struck or outcome.skipped or len(again) == SETUPS - 1:
             return outcome
-        again = [*again, "; ".join(outcome.wrong)]
+        again = (*again, "; ".join(outcome.wrong))
 
 
 def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
@@ -239,12 +239,13 @@ def _inject_arm(scene: Scene, fault: ArmFault, index: int) -> Outcome:
     outcome = Outcome(fault, index)
     begun_s = time.monotonic()
     try:
-        rested, outcome.again = arm.strike(scene.arm, fault)
+        rested = arm.strike(scene.arm, fault)
     except (TrialError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
         outcome.wrong.append(f"{type(error).__name__}: {error}")
         outcome.struck = False
     else:
         outcome.wrong += rested.wrong
+        outcome.again = rested.again
         if rested.rest_ms is not None:
             rest_ns = round(rested.rest_ms * 1e6)
             outcome.stopped = Stopped(rested.fault_ns, rest_ns, None, None, rested.moves_after, True)

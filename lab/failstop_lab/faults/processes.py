@@ -153,7 +153,7 @@ def _kill_many(processes: tuple[str, ...], *, apart: bool = False) -> Fault:
     elif writers:
         first, bar_ms = " and ".join(writers) + ", own descriptor", NO_ANSWER_MS
     elif apart:
-        first, bar_ms = "whoever is killed last, or the stop tool", TOOL_MS
+        first, bar_ms = "the process that is killed last, or the stop tool", TOOL_MS
     else:
         first, bar_ms = "systemd: the stop tool (ExecStopPost)", TOOL_MS
     at_once = set(processes) >= STOP_WRITERS and not apart

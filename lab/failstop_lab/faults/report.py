@@ -388,11 +388,12 @@ def _parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
     """When each part of a campaign was run, at which commit, and on what if they ran on different machines."""
     if not parts:
         return []
-    said = {f"{part['cores']} cores, kernel {part['kernel']}, Python {part['python']}" for part in parts}
+    said = [f" ({part['cores']} cores, kernel {part['kernel']}, Python {part['python']})" for part in parts]
+    if len(set(said)) == 1:
+        said = [""] * len(said)
     each = (
-        f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults"
-        + (f" ({part['cores']} cores, kernel {part['kernel']}, Python {part['python']})" if len(said) > 1 else "")
-        for part in parts
+        f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults{machine}"
+        for part, machine in zip(parts, said, strict=True)
     )
     return [f"Run on {'; '.join(each)}."]
 

@@ -70,9 +70,9 @@ def dated(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> tuple[floa
     return max(0.0, rest - unseen / 2 - cause_ns) / NS, unseen / 2 / NS
 
 
-def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
-    """Whether the rest has lasted."""
-    return rest is not None and samples[-1][0] - rest >= RESTS_S * NS
+def believed(samples: Sequence[SeenSample], rest: int | None, least_s: float = RESTS_S) -> bool:
+    """Whether the rest has lasted. `rest`: its first sample; None: the samples end in a turn."""
+    return rest is not None and samples[-1][0] - rest >= least_s * NS
 
 
 TURNED_S = 0.2
@@ -81,8 +81,8 @@ TURNED_S = 0.2
 
 def rested(samples: Sequence[SeenSample], rest: int | None) -> bool:
     """Whether the wheels are at rest at the end of these samples, so that no failure after them can stop them. `rest`:
-    the first sample of the rest in which the samples end; None: they end in a turn."""
-    return rest is not None and samples[-1][0] - rest >= TURNED_S * NS
+    as for believed()."""
+    return believed(samples, rest, TURNED_S)
 
 
 SILENT_S = 2.0

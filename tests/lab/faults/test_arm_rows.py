@@ -53,13 +53,13 @@ def kiwi() -> Iterator[ArmTrial]:
 
 @pytest.mark.parametrize("fault", TRIED, ids=[row.name for row in TRIED])
 def test_row(trial: ArmTrial, fault: ArmFault) -> None:
-    rested, _ = arm.strike(trial, fault)
+    rested = arm.strike(trial, fault)
     assert rested.wrong == ()
 
 
 @pytest.mark.parametrize("fault", BESIDE, ids=[row.name for row in BESIDE])
 def test_row_beside_the_wheels(kiwi: ArmTrial, fault: ArmFault) -> None:
-    rested, _ = arm.strike(kiwi, fault)
+    rested = arm.strike(kiwi, fault)
     assert rested.wrong == ()
 
 

@@ -131,7 +131,7 @@ def test_a_missed_stop_is_later_than_every_other_and_keeps_no_bar() -> None:
 def test_scenes_that_ended_before_their_fault_are_counted_with_their_reasons() -> None:
     tally = report.Tally((KILL_GATE,), seed=7)
     stopped, _ = verdict(KILL_GATE, [event(0, 1.0, STILL)], FAULT_NS, True)
-    for again in (["it stopped by itself", "not ready"], [], ["it stopped by itself"]):
+    for again in (("it stopped by itself", "not ready"), (), ("it stopped by itself",)):
         tally.add(Outcome(KILL_GATE, 0, stopped, again=again))
     result = tally.as_dict()
     assert result["again"] == {"it stopped by itself": 2, "not ready": 1}
@@ -261,7 +261,7 @@ def test_a_stop_before_the_stop_tool_was_started_is_not_the_stop_tool_s() -> Non
 
 
 class Broken:
-    """A scene that can't be made anew."""
+    """A scene that can't be replaced by a new one."""
 
     arm_spoiled = spoiled = False
 
@@ -293,7 +293,7 @@ def test_why_a_scene_was_begun_again_is_told(monkeypatch: pytest.MonkeyPatch) ->
     outcomes = [Outcome(KILL_GATE, 0, wrong=[why], struck=False) for why in ("not ready", "stopped by itself")]
     outcomes.append(Outcome(KILL_GATE, 0))
     monkeypatch.setattr(injection, "_inject_one", lambda *_: outcomes.pop(0))
-    assert inject_one(Broken(), KILL_GATE).again == ["not ready", "stopped by itself"]  # type: ignore[arg-type]
+    assert inject_one(Broken(), KILL_GATE).again == ("not ready", "stopped by itself")  # type: ignore[arg-type]
 
 
 def test_a_seed_is_a_campaign() -> None:
