@@ -202,7 +202,8 @@ def test_diagnostics(still: dict[str, Heard], scene: BridgeTrial) -> None:
     rows = {row["name"].partition(": ")[2]: row for row in found["status"]}
     assert {row["name"].partition(": ")[0] for row in found["status"]} == {NODE[1:]}
     processes = {f"process {name}" for name in ("supervisor", "port_owner", "gate", "telemetry", "stopper")}
-    assert set(rows) == {"stop layer", "wheels", *processes, "port", "link", "battery", "real-time rights", "ROS"}
+    others = {"port", "link", "battery", "speeds", "real-time rights", "ROS"}
+    assert set(rows) == {"stop layer", "wheels", *processes, *others}
     assert rows["stop layer"]["message"].startswith("STOPPED: blocked: disabled; next: `failstop enable")
     assert rows["stop layer"]["hardware_id"] == scene.trial.name
     assert rows["process gate"]["level"] == 0
