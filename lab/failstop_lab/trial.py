@@ -175,6 +175,15 @@ class Service:
         self.signal_known(signal.SIGKILL)
         self.known = {}
 
+    def kill_rest(self) -> None:
+        """SIGKILL every process that the service has started, also one that the supervisor started just before its end:
+        what systemd does to a control group."""
+        word = f"name={self.name}".encode()
+        for pid in filter(str.isdecimal, os.listdir("/proc")):
+            with contextlib.suppress(OSError), open(f"/proc/{pid}/cmdline", "rb") as file:
+                if word in file.read().split(b"\0"):
+                    os.kill(int(pid), signal.SIGKILL)
+
     def kill(self) -> None:
         """SIGKILL the supervisor and collect it; the rest ends by itself."""
         if self.process:

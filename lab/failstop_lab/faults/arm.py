@@ -25,7 +25,7 @@ from failstop_lab.faults.fault import fits
 from failstop_lab.sim.client import Event
 from failstop_lab.sim.servos import Leg
 from failstop_lab.stopped import judge as stopped_by
-from failstop_lab.trial import READY_S, Stopped, Trial, wait_for, write_settings
+from failstop_lab.trial import READY_S, Stopped, Trial, TrialError, wait_for, write_settings
 
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793), "elbow": (3, 46, 51), "wrist": (4, 131, 160)}
 JOINTS |= {"roll": (5, 498, 499), "gripper": (10, 629, 499)}
@@ -94,6 +94,14 @@ class Rested:
     """Why each of the tries before was not counted."""
 
 
+MOVES_S = READY_S
+"""Within so long the program has moved the arm."""
+
+
+class NeverMoved(TrialError):
+    """The arm did not begin to move, so nothing was made to fail."""
+
+
 class ArmTrial(Trial):
     """Board, service with an arm, and a client of its own that moves all of its joints."""
 
@@ -126,7 +134,10 @@ class ArmTrial(Trial):
         if self._follower is None:
             command = helpers.python("-c", program, self.name, *words)
             self._follower = subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)
-        wait_for("the arm to move", lambda: self._turns(mode))
+        try:
+            wait_for("the arm to move", lambda: self._turns(mode), MOVES_S)
+        except TrialError as error:
+            raise NeverMoved(str(error)) from None
         if self.beside:
             self.board.wait_wheels(turning=True, timeout_s=READY_S)
         time.sleep(seconds)
@@ -176,12 +187,20 @@ STRIKES = 3
 
 def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     """One fault, judged by the servos; the trial is settled again afterwards, with a new run where it ended. One that
-    came while nothing turned, because the machine did not run the client, is tried again, STRIKES times in all, unless
-    something else was wrong too."""
+    came while nothing turned, because the machine did not run the client or the robot was stopped before it, is tried
+    again, STRIKES times in all, unless something else was wrong too."""
     again: tuple[str, ...] = ()
     while True:
-        rested = dataclasses.replace(_strike(trial, fault), again=again)
-        if not rested.wrong or set(rested.wrong) - {NOT_TURNING, NOT_DRIVING} or len(again) == STRIKES - 1:
+        last = len(again) == STRIKES - 1
+        try:
+            rested = dataclasses.replace(_strike(trial, fault), again=again)
+        except NeverMoved as error:
+            if last:
+                raise
+            trial.settle()
+            again = (*again, str(error))
+            continue
+        if not rested.wrong or set(rested.wrong) - {NOT_TURNING, NOT_DRIVING} or last:
             return rested
         again = (*again, "; ".join(rested.wrong))
 

@@ -90,14 +90,22 @@ class _Injection:
         self.pids: dict[str, int] = {}
         self.mark = 0
         self.latched: Cause | None = None
+        self._fault_ns = 0
 
     def run(self) -> None:
-        """From enable to just before the next one; whatever is wrong goes into the outcome."""
+        """From enable to just before the next one; whatever is wrong goes into the outcome. Whatever fails on the way,
+        the board has its word about the stop."""
+        try:
+            self._run()
+        finally:
+            if self.outcome.stopped is None:
+                self._judge(self._fault_ns)
+
+    def _run(self) -> None:
         scene, fault = self.scene, self.fault
         scene.driver.velocity = _velocity(scene.chance)
         scene.driver.enable()
         self.mark = scene.service.written()
-        fault_ns = 0
         try:
             self.injector.prepare(scene)
             self.pids = scene.service.pids()
@@ -108,18 +116,16 @@ class _Injection:
             if not scene.was_turning:
                 raise TrialError("the wheels were not turning before the fault")
             self.outcome.struck = True
-            fault_ns = self.injector.strike(scene)
+            self._fault_ns = self.injector.strike(scene)
             scene.driver.each = lambda: self.injector.during(scene)
             scene.driver.run(fault.aftermath_s)
             self._meanwhile()
         finally:
             scene.driver.each = lambda: None
             if fault.cleared == BY_ITSELF:
-                self._judge(fault_ns)
+                self._judge(self._fault_ns)
             self.injector.heal(scene)
         self._recover()
-        if fault.cleared != BY_ITSELF:
-            self._judge(fault_ns)
 
     def _see(self) -> None:
         self.outcome.events += self.scene.board.events()
@@ -148,13 +154,19 @@ class _Injection:
         """At the end of the fault, before it is healed."""
         scene, fault = self.scene, self.fault
         if fault.stop_tool:
-            scene.wait_for_stop_tool()
+            self._check_stop_tool()
         if fault.link:
             self._check(
                 f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device.link == fault.link
             )
         if fault.bar_ms is None and not scene.trial.turning():
             self.outcome.wrong.append("the wheels stand, and nothing was to stop them")
+
+    def _check_stop_tool(self) -> None:
+        try:
+            self.scene.wait_for_stop_tool()
+        except TrialError as error:
+            self.outcome.wrong.append(str(error))
 
     def _recover(self) -> None:
         """Until the service is whole again, with what it says, what it latched, and what clears that."""

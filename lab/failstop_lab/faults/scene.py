@@ -131,9 +131,11 @@ class Scene(Stand):
     # The part of systemd.
 
     def start_stop_tool(self) -> None:
-        """Do as ExecStopPost does, once the supervisor is gone."""
+        """Do as ExecStopPost does, once the supervisor is gone: end what is left of the run, and stop the wheels. The
+        command itself finds what is left by the control group, which a run without systemd does not have."""
         if self.service.process:
             self.service.process.wait(GONE_S)
+        self.service.kill_rest()
         command = helpers.python(
             "failstop", "stop", "--config", self._config, "--device", self.trial.link, "--wait", "5"
         )

@@ -1,7 +1,8 @@
 """Steps: what a row of the fault table does to processes - killed, stopped, continued, put into an endless loop.
 
 Processes that die together stand still first. Otherwise one that is killed a few microseconds after another still stops
-the wheels before it dies.
+the wheels before it dies. A signal only asks a process to stand still: each of its threads goes on until the kernel has
+stopped it, so that is waited for.
 """
 
 from __future__ import annotations
@@ -19,11 +20,32 @@ from failstop_lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
 from failstop_lab.trial import TrialError, is_ours
 
 SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
+STILL = "TtZX"
+"""States of proc(5) in which a thread runs none of its program: stopped, stopped by a tracer, or ended."""
 APART_S = 0.005
 AT_ONCE_S = 0.02
 """Within so long all must stand still; the shortest deadline of a process that hangs is 60 ms."""
+BETWEEN_LOOKS_S = 0.0002
 STOPPED_ON_S = (0.04, 0.14)
 """How long the hung stay stopped after the stop is due: less than it takes to fence them."""
+
+
+def stands_still(pid: int) -> bool:
+    """Whether every thread of the process has been stopped by a signal, or has ended."""
+    folder = f"/proc/{pid}/task"
+    try:
+        return all(_state(f"{folder}/{thread}/stat") in STILL for thread in os.listdir(folder))
+    except FileNotFoundError:
+        return True
+
+
+def _state(path: str) -> str:
+    """The state of a thread, a letter of proc(5). Its name, which stands before it, may contain any character."""
+    try:
+        with open(path, encoding="ascii", errors="replace") as file:
+            return file.read().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
+        return "X"
 
 
 class NotAtOnce(TrialError):
@@ -34,11 +56,18 @@ class Steps:
     """The steps of one injection: at once, or if the row allows it within 5 ms, in any order; what is continued was
     stopped for longer."""
 
-    def __init__(self, fault: Fault, chance: random.Random, kill: Callable[[int, int], None] = os.kill) -> None:
-        """`kill`: what sends a signal."""
+    def __init__(
+        self,
+        fault: Fault,
+        chance: random.Random,
+        kill: Callable[[int, int], None] = os.kill,
+        stands: Callable[[int], bool] = stands_still,
+    ) -> None:
+        """`kill` sends a signal; `stands` tells whether a process stands still."""
         self._fault = fault
         self._chance = chance
         self._kill = kill
+        self._stands = stands
         self._order = list(fault.steps)
         chance.shuffle(self._order)
         self._order.sort(key=lambda step: step[0] == CONTINUE)
@@ -64,7 +93,9 @@ class Steps:
         begun_s = time.monotonic()
         for pid in pids:
             self._do(HANG, pid)
-        if (took_s := time.monotonic() - begun_s) > AT_ONCE_S:
+        while (took_s := time.monotonic() - begun_s) <= AT_ONCE_S and not all(map(self._stands, pids)):
+            time.sleep(BETWEEN_LOOKS_S)
+        if took_s > AT_ONCE_S:
             for pid in pids:
                 self._do(CONTINUE, pid)
             raise NotAtOnce(f"the machine needed {1000 * took_s:.0f} ms to stop {len(pids)} processes at once")

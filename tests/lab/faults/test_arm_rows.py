@@ -26,6 +26,7 @@ from failstop_lab.faults.fault import BY_NEW_RUN
 from failstop_lab.faults.table import FAULT_BY_NAME as OTHERS
 from failstop_lab.sim.servos import Leg
 from failstop_lab.stopped import Stopped
+from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-posing", "arm-usb-drop"}
@@ -61,6 +62,24 @@ def test_row(trial: ArmTrial, fault: ArmFault) -> None:
 def test_row_beside_the_wheels(kiwi: ArmTrial, fault: ArmFault) -> None:
     rested = arm.strike(kiwi, fault)
     assert rested.wrong == ()
+
+
+def test_a_stop_before_the_arm_moves_is_tried_again_and_told(trial: ArmTrial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a machine that held up the service while the arm was at rest: the row is about another stop."""
+    pose, begun = trial.pose, list[str]()
+
+    def stopped_first() -> int:
+        begun.append("stopped" if not begun else "")
+        if begun[-1]:
+            trial.robot.estop("before the arm moves")
+            wait_for("the latch", lambda: bool(trial.robot.state.estop))
+        return pose()
+
+    monkeypatch.setattr(trial, "pose", stopped_first)
+    monkeypatch.setattr(arm, "MOVES_S", 1.0)
+    rested = arm.strike(trial, ARM_FAULT_BY_NAME["arm-stop-posing"])
+    assert rested.wrong == ()
+    assert rested.again == ("waited 1 s for the arm to move",)
 
 
 def judged(row: ArmFault = BY_NAME["arm-kill-gate"], **changed: Any) -> tuple[str, ...]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
+import os
 import random
 import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +28,7 @@ from failstop_lab.faults.judge import verdict
 from failstop_lab.faults.scene import Scene
 from failstop_lab.faults.steps import Steps
 from failstop_lab.faults.table import FAULT_BY_NAME, TABLE
-from failstop_lab.trial import TrialError, judge
+from failstop_lab.trial import Service, TrialError, judge, wait_for
 from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
 KILL_GATE = FAULT_BY_NAME["kill-gate"]
@@ -213,7 +217,7 @@ def sent_to(fault: Fault, seed: int) -> list[tuple[int, int]]:
     """The (pid, signal) of a row's steps, as this seed orders them; the pids are 100, 101 and so on."""
     sent: list[tuple[int, int]] = []
     pids = {process: 100 + number for number, process in enumerate(fault.struck(KILL))}
-    Steps(fault, random.Random(seed), lambda *each: sent.append(each)).perform(pids, lambda _: None)
+    Steps(fault, random.Random(seed), lambda *each: sent.append(each), lambda _: True).perform(pids, lambda _: None)
     return sent
 
 
@@ -245,6 +249,37 @@ def test_processes_that_can_not_be_stopped_at_once_are_not_killed(monkeypatch: p
     assert sent == 3 * [signal.SIGSTOP] + 3 * [signal.SIGCONT]
 
 
+def test_nothing_is_killed_before_every_thread_of_the_others_stands_still() -> None:
+    """A signal only asks for that, and a thread that still runs writes the stop."""
+    fault = FAULT_BY_NAME["kill-supervisor+port_owner+stopper"]
+    looks = iter([False, True, False, True, True, True, True])
+    happened: list[str] = []
+
+    def stands(_: int) -> bool:
+        happened.append("stands" if (still := next(looks)) else "runs")
+        return still
+
+    pids = {process: 100 + number for number, process in enumerate(fault.struck(KILL))}
+    Steps(fault, random.Random(1), lambda _, sign: happened.append(sign.name), stands).perform(pids, lambda _: None)  # type: ignore[attr-defined]
+    looked = ["runs", "stands", "runs", "stands", "stands", "stands"]
+    assert happened == [*3 * ["SIGSTOP"], *looked, *3 * ["SIGKILL"]]
+
+
+def test_a_process_stands_still_when_all_of_its_threads_do() -> None:
+    program = "import threading, time; threading.Thread(target=time.sleep, args=(60,)).start(); print(flush=True)"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as child:
+        try:
+            assert child.stdout
+            child.stdout.readline()
+            assert len(os.listdir(f"/proc/{child.pid}/task")) == 2
+            assert not steps.stands_still(child.pid)
+            child.send_signal(signal.SIGSTOP)
+            wait_for("it to stand still", lambda: steps.stands_still(child.pid))
+        finally:
+            child.kill()
+    assert steps.stands_still(child.pid), "it has ended"
+
+
 def test_what_dies_one_after_the_other_has_rows_of_its_own() -> None:
     apart = FAULT_BY_NAME["kill-supervisor+port_owner+stopper-apart"]
     assert apart.stop_tool
@@ -258,6 +293,54 @@ def test_a_stop_before_the_stop_tool_was_started_is_not_the_stop_tool_s() -> Non
         made.outcome = Outcome(made.fault, 0, events=[event(0, stop_ms, STILL)])
         made._judge(FAULT_NS)
         assert made.outcome.wrong == wrong
+
+
+def test_the_board_has_its_word_about_a_stop_whatever_else_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop tool that has ended with 1 after its stop has not missed it."""
+
+    def fails(*_: object) -> None:
+        raise TrialError("the stop tool ended with exit code 1")
+
+    def is_not_whole(_: _Injection) -> None:
+        raise TrialError("the service is not whole")
+
+    monkeypatch.setattr(_Injection, "_recover", is_not_whole)
+    seen = iter([[event(0, -5.0, TURNING)], [event(1, 3.0, STILL)]])
+    made = alone(
+        driver=SimpleNamespace(enable=lambda: None, until=lambda *_: None, run=lambda _: None),
+        chance=random.Random(1),
+        service=SimpleNamespace(written=lambda: 0, pids=dict),
+        trial=SimpleNamespace(turning=lambda: True),
+        board=SimpleNamespace(events=lambda: next(seen)),
+        tool_ns=FAULT_NS,
+        wait_for_stop_tool=fails,
+    )
+    made.fault = FAULT_BY_NAME["kill-supervisor+port_owner+stopper"]
+    made.outcome = Outcome(made.fault, 0)
+    made.injector = SimpleNamespace(  # type: ignore[assignment]
+        prepare=lambda _: None, strike=lambda _: FAULT_NS, during=lambda _: None, heal=lambda _: None
+    )
+    with pytest.raises(TrialError, match="the service is not whole"):
+        made.run()
+    assert made.outcome.stopped is not None
+    assert made.outcome.stopped.stop_ns == 3 * MS
+    assert made.outcome.wrong == ["the stop tool ended with exit code 1"]
+
+
+def test_what_is_left_of_a_run_is_killed_before_the_stop_tool_comes(tmp_path: Path) -> None:
+    """Also a process that the supervisor had only just started: it has the port, and no one has looked it up."""
+    name = f"rest-{os.getpid()}"
+    program = [sys.executable, "-c", "import time; time.sleep(60)", "stopper"]
+    with contextlib.ExitStack() as ends:
+        of_it, of_another = (subprocess.Popen([*program, f"name={of}"]) for of in (name, f"{name}0"))
+        ends.callback(of_another.wait)
+        ends.callback(of_another.kill)
+        ends.callback(of_it.kill)
+        service = Service(name, str(tmp_path / "board"), str(tmp_path))
+        ends.callback(service.close)
+        service.kill_rest()
+        assert of_it.wait(5) == -signal.SIGKILL
+        assert of_another.poll() is None
 
 
 class Broken:
@@ -328,6 +411,7 @@ def test_a_row_that_does_not_hold_is_told_and_its_scene_is_left_nowhere(scene: S
 def alone(**scene: object) -> _Injection:
     """An injection of nothing into a scene made of these parts."""
     made = _Injection.__new__(_Injection)
+    made._fault_ns = 0
     made.scene = SimpleNamespace(restart=lambda: None, **scene)  # type: ignore[assignment]
     made.fault, made.outcome = FAULT_BY_NAME["service-stopped"], Outcome(FAULT_BY_NAME["service-stopped"], 0)
     return made

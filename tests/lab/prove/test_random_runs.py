@@ -56,7 +56,8 @@ def test_a_seed_says_every_draw_from_any_index_on() -> None:
 @pytest.mark.parametrize("name", ["kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate"])
 def test_steps_are_taken_as_the_row_says(name: str) -> None:
     row, taken, waited = FAULT_BY_NAME[name], list[tuple[int, int]](), list[float]()
-    Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).perform(PIDS, waited.append)
+    sent = Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number))), lambda _: True)
+    sent.perform(PIDS, waited.append)
     numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
     first = [step for step in taken if step[1] == 19 and (step[0], 9) in taken]  # what dies at once stands still first
     assert len(first) in (0, len(row.struck(KILL)))
