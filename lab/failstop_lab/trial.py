@@ -70,13 +70,18 @@ def is_ours(pid: int) -> bool:
         return False
 
 
+def state_in(path: str) -> str:
+    """The state in a stat file of a process or thread, a letter of proc(5); X if it is gone."""
+    try:
+        with open(path, encoding="ascii", errors="replace") as file:
+            return file.read().rpartition(") ")[2][:1]  # behind the name, which may contain any character
+    except OSError:
+        return "X"
+
+
 def _lives(pid: int) -> bool:
     """Whether one of a service's is more than a number that nobody has collected yet."""
-    try:
-        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
-            return is_ours(pid) and file.read().rpartition(") ")[2][:1] not in ("Z", "X")
-    except OSError:
-        return False
+    return is_ours(pid) and state_in(f"/proc/{pid}/stat") not in ("Z", "X")
 
 
 LOG_CHARACTERS = 2000

@@ -91,6 +91,7 @@ class _Injection:
         self.mark = 0
         self.latched: Cause | None = None
         self._fault_ns = 0
+        """When the fault began (CLOCK_MONOTONIC); 0: it has not."""
 
     def run(self) -> None:
         """From enable to just before the next one; whatever is wrong goes into the outcome. Whatever fails on the way,
@@ -99,7 +100,7 @@ class _Injection:
             self._run()
         finally:
             if self.outcome.stopped is None:
-                self._judge(self._fault_ns)
+                self._judge()
 
     def _run(self) -> None:
         scene, fault = self.scene, self.fault
@@ -123,14 +124,15 @@ class _Injection:
         finally:
             scene.driver.each = lambda: None
             if fault.cleared == BY_ITSELF:
-                self._judge(self._fault_ns)
+                self._judge()
             self.injector.heal(scene)
         self._recover()
 
     def _see(self) -> None:
         self.outcome.events += self.scene.board.events()
 
-    def _judge(self, fault_ns: int) -> None:
+    def _judge(self) -> None:
+        fault_ns = self._fault_ns
         if not fault_ns:
             return
         self._see()
@@ -145,8 +147,14 @@ class _Injection:
 
     def _check(self, what: str, check: Callable[[], bool]) -> None:
         """Something that must come to be; the clients go on commanding until it does."""
-        try:
+        with self._noting():
             self.scene.driver.until(what, check, self._seen_s)
+
+    @contextlib.contextmanager
+    def _noting(self) -> Iterator[None]:
+        """A TrialError within goes into the outcome, and the judging goes on."""
+        try:
+            yield
         except TrialError as error:
             self.outcome.wrong.append(str(error))
 
@@ -154,19 +162,14 @@ class _Injection:
         """At the end of the fault, before it is healed."""
         scene, fault = self.scene, self.fault
         if fault.stop_tool:
-            self._check_stop_tool()
+            with self._noting():
+                scene.wait_for_stop_tool()
         if fault.link:
             self._check(
                 f"the link to be shown {fault.link}", lambda: scene.driver.robot.state.device.link == fault.link
             )
         if fault.bar_ms is None and not scene.trial.turning():
             self.outcome.wrong.append("the wheels stand, and nothing was to stop them")
-
-    def _check_stop_tool(self) -> None:
-        try:
-            self.scene.wait_for_stop_tool()
-        except TrialError as error:
-            self.outcome.wrong.append(str(error))
 
     def _recover(self) -> None:
         """Until the service is whole again, with what it says, what it latched, and what clears that."""

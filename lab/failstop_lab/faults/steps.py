@@ -17,10 +17,10 @@ from collections.abc import Callable
 
 from failstop_lab.faults import ptrace
 from failstop_lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
-from failstop_lab.trial import TrialError, is_ours
+from failstop_lab.trial import TrialError, is_ours, state_in
 
 SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
-STILL = "TtZX"
+STILL = ("T", "t", "Z", "X")
 """States of proc(5) in which a thread runs none of its program: stopped, stopped by a tracer, or ended."""
 APART_S = 0.005
 AT_ONCE_S = 0.02
@@ -34,18 +34,9 @@ def stands_still(pid: int) -> bool:
     """Whether every thread of the process has been stopped by a signal, or has ended."""
     folder = f"/proc/{pid}/task"
     try:
-        return all(_state(f"{folder}/{thread}/stat") in STILL for thread in os.listdir(folder))
+        return all(state_in(f"{folder}/{thread}/stat") in STILL for thread in os.listdir(folder))
     except FileNotFoundError:
         return True
-
-
-def _state(path: str) -> str:
-    """The state of a thread, a letter of proc(5). Its name, which stands before it, may contain any character."""
-    try:
-        with open(path, encoding="ascii", errors="replace") as file:
-            return file.read().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
-        return "X"
 
 
 class NotAtOnce(TrialError):

@@ -291,7 +291,8 @@ def test_a_stop_before_the_stop_tool_was_started_is_not_the_stop_tool_s() -> Non
     made.fault = FAULT_BY_NAME["kill-supervisor+port_owner+stopper"]
     for stop_ms, wrong in ((1.0, ["stopped 1.0 ms before the stop tool was started"]), (3.0, [])):
         made.outcome = Outcome(made.fault, 0, events=[event(0, stop_ms, STILL)])
-        made._judge(FAULT_NS)
+        made._fault_ns = FAULT_NS
+        made._judge()
         assert made.outcome.wrong == wrong
 
 
