@@ -84,7 +84,8 @@ class Run:
 
 
 def install(machine: Guest, run: Run) -> None:
-    """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial."""
+    """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial. Raises
+    GuestError if the package is not installed then, because no other trial can pass without it."""
     with run.phase("start"):
         machine.start(guest.STATE)
         machine.must("date", "--set", f"@{int(time.time())}")
@@ -92,6 +93,7 @@ def install(machine: Guest, run: Run) -> None:
     run.say("the guest is ready")
     with run.phase("install"):
         inside(machine, ["install"], run)
+        machine.must("dpkg", "--status", "failstop")
 
 
 def inside(machine: Guest, names: list[str], run: Run) -> None:

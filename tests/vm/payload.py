@@ -14,8 +14,8 @@ from tests.vm.image import PYTHON, ROOT, ImageError
 SIZE = 32 << 20
 """One size each time: a saved guest knows its disks by their sizes."""
 DISK = "/dev/vdb"
-TRIALS = ("tests/__init__.py", "tests/support/terminal.py", "tests/vm", "packaging/deb", "systemd", "LICENSE")
-"""Folders that the package is built of, in there."""
+TRIALS = ("tests/__init__.py", "tests/support/terminal.py", "tests/vm", "packaging", "systemd", "LICENSE")
+"""What the guest runs the trials of, and builds the package of, besides the installed failstop."""
 SITE = f"lib/python{PYTHON}/site-packages"
 UNPACK = f"""set -e
 blockdev --flushbufs {DISK}

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.vm import __main__ as vm
-from tests.vm import guest, image, initrd, inside, outside, table
+from tests.vm import guest, image, initrd, inside, outside, payload, table
 from tests.vm.guest import GuestError
 from tests.vm.image import Image
 from tests.vm.patience import Patience, ran
@@ -33,6 +33,18 @@ def test_every_trial_is_one_that_can_be_run() -> None:
         assert {trial.name for trial in table.TRIALS if trial.where == where} == set(do)
     assert len(table.TRIAL_BY_NAME) == len(table.TRIALS)
     assert next(iter(table.TRIAL_BY_NAME)) == "install", "the others need it"
+
+
+@pytest.mark.parametrize(
+    "words", [("packaging/deb/build.py", "--help"), ("-c", "import tests.vm.inside, tests.vm.floor, tests.vm.client")]
+)
+def test_the_guest_gets_all_that_it_runs(words: tuple[str, ...], tmp_path: Path) -> None:
+    for name in payload.TRIALS:
+        copy = shutil.copytree if (image.ROOT / name).is_dir() else shutil.copy
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        copy(image.ROOT / name, tmp_path / name)
+    done = subprocess.run((sys.executable, *words), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_trial_that_wants_a_guest_of_its_own_has_one() -> None:
