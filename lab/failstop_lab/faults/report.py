@@ -385,17 +385,16 @@ def markdown(result: dict[str, Any]) -> str:
 
 
 def _parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
-    """When each part of a campaign was run, at which commit, and on what if they ran on different machines."""
+    """How many faults of a campaign were injected on which day, at which commit, and on what if the machines differ."""
     if not parts:
         return []
     said = [f" ({part['cores']} cores, kernel {part['kernel']}, Python {part['python']})" for part in parts]
     if len(set(said)) == 1:
         said = [""] * len(said)
-    each = (
-        f"{part['date']} at {part['commit'] or 'no commit'}: {part['count']} faults{machine}"
-        for part, machine in zip(parts, said, strict=True)
-    )
-    return [f"Run on {'; '.join(each)}."]
+    faults: Counter[tuple[str, str]] = Counter()
+    for part, machine in zip(parts, said, strict=True):
+        faults[f"{part['date']} at {part['commit'] or 'no commit'}", machine] += part["count"]
+    return [f"Run on {'; '.join(f'{when}: {count} faults{machine}' for (when, machine), count in faults.items())}."]
 
 
 def _wrong(result: Mapping[str, Any]) -> list[str]:

@@ -169,6 +169,8 @@ def test_each_part_of_a_campaign_says_where_and_with_what_rights_it_ran(monkeypa
         "2026-01-03 at commit6.2: 1 faults (2 cores, kernel 6.2, Python 3.11)." in page
     )
     assert "Run on 2026-01-02 at commit6.1: 1 faults." in report.markdown(results[0])
+    results[0]["machine"]["parts"] *= 3
+    assert "Run on 2026-01-02 at commit6.1: 3 faults." in report.markdown(results[0])
 
 
 def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
