@@ -63,8 +63,7 @@ class Browser:
             self.signal(signal.SIGKILL)
         self.process.wait()
         for page in self.pages:
-            page.connection.close()
-        self._loop.run_until_complete(asyncio.sleep(0))
+            page.hang_up()
         self._loop.close()
         self._log.close()
         self._profile.cleanup()
@@ -122,7 +121,15 @@ class Tab:
     def close(self) -> None:
         """End the page; the browser goes on."""
         self.tell("Page.close")
-        self.connection.close()
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """End the connection to the page."""
+
+        async def close() -> None:
+            self.connection.close()
+
+        self._loop.run_until_complete(close())
 
     def tell(self, method: str, **parameters: Any) -> None:
         """One method of the protocol, whose answer is not waited for: a browser that is held up has none yet."""

@@ -69,13 +69,18 @@ def paired(tab: Tab, web: Web) -> Tab:
 
 
 def driving(trial: Trial, tab: Tab) -> None:
-    """Somebody attends by this page, and the robot drives."""
+    """Somebody attends by this page, and the robot drives, for so long that the IMU feels it."""
+
+    def felt() -> bool:
+        trial.drive(0.1)
+        return trial.robot.state.turning.does == "turning"
+
     trial.robot.disable()
     if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
     enable_soon(trial)
-    trial.drive(0.3)
+    wait_for("the IMU to feel it", felt)
     assert trial.turning()
     trial.board.events()
 

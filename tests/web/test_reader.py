@@ -246,10 +246,21 @@ def test_a_stop_that_is_not_written_is_an_alert(trial: Trial, web: Web, tab: Tab
     tab.until("document.getElementById('alarm').textContent === ''")
 
 
+def test_a_new_incident_leaves_the_focus_where_it_is(trial: Trial, tab: Tab) -> None:
+    tab.until("document.querySelector('.card') !== null", "an incident", 30)
+    go_to(tab, "stop request")
+    tab.run("window.had = document.activeElement")
+    before = tab.run("document.querySelectorAll('.card').length")
+    trial.enable()
+    trial.robot.estop("one more")
+    tab.until(f"document.querySelectorAll('.card').length > {before}", "a new incident", 30)
+    assert tab.run("document.activeElement === window.had")
+
+
 def test_an_incident_and_the_end_of_the_pairing_without_a_pointer(tab: Tab) -> None:
     tab.until("document.querySelector('.card') !== null", "an incident", 30)
     press(tab, "stop request")
-    tab.until("document.querySelector('.card').open")
+    tab.until("document.querySelector('.card[open]') !== null")
     go_to(tab, "Events")
     press(tab, "Forget this device")
     tab.until("document.getElementById('buttons').hidden")

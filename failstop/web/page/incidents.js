@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 const AGAIN_MS = 1000, LATER_MS = 4000; // the file of a stop is written some seconds after the stop
 const FIRST = 5; // older incidents are shown after a touch
 const cards = new Map(); // kept, so that an open card stays open
-const rest = node("details", "");
+const rest = node("details", ""), restName = node("summary", "");
 let shown = "", last = 0;
 
 function node(kind, content, more) {
@@ -72,9 +72,16 @@ async function look() {
   shown = text;
   const {incidents} = JSON.parse(text);
   const made = incidents.map((incident) => card(incident)), older = made.slice(FIRST);
-  $("incidents").replaceChildren(...made.slice(0, FIRST), ...(older.length ? [rest] : []));
-  rest.replaceChildren(node("summary", `${older.length} older`), ...older);
-  if (!incidents.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
+  restName.textContent = `${older.length} older`;
+  arrange(rest, [restName, ...older]);
+  if (!made.length) $("incidents").replaceChildren(node("p", "none", {className: "dim"}));
+  else arrange($("incidents"), [...made.slice(0, FIRST), ...(older.length ? [rest] : [])]);
+}
+
+// Like replaceChildren, but what stays where it is keeps the focus of the keyboard: a new incident comes at any time.
+function arrange(place, wanted) {
+  for (const child of [...place.children]) if (!wanted.includes(child)) child.remove();
+  wanted.forEach((child, at) => { if (place.children[at] !== child) place.insertBefore(child, place.children[at] || null); });
 }
 
 addEventListener("view", ({detail}) => {
