@@ -110,7 +110,12 @@ def wait_until_free(tab: Tab, button: str) -> None:
 def test_every_control_has_a_name_and_stop_says_what_it_does(tab: Tab) -> None:
     found = nodes(tab)
     assert {"banner", "main", "contentinfo"} <= {row["role"] for row in found}
-    assert [row["name"] for row in found if row["role"] == "heading" and row["level"] == 1] == [tab.run(WORD)]
+    wait_for(  # the service has just been started, so the word may change between the two questions
+        "the word to be the heading",
+        lambda: (
+            [row["name"] for row in nodes(tab) if row["role"] == "heading" and row["level"] == 1] == [tab.run(WORD)]
+        ),
+    )
     assert [row for row in found if row["role"] in CONTROLS and not row["name"]] == []
     (stop,) = [row for row in found if row["role"] == "button" and row["name"] == "STOP"]
     assert "Space or Escape" in stop["description"]
