@@ -45,8 +45,9 @@ def install(scene: Scene) -> Iterator[Result]:
     found = Result("install")
     node = scene.node()
     code, said, _ = sh(sys.executable, "packaging/deb/build.py", "--out", "/srv", timeout_s=400.0)
-    package = said.partition("\n")[0]
-    code, said, took_s = (code, said, 0.0) if code else sh("dpkg", "--install", package, timeout_s=400.0)
+    # The robot's package is the first that it names; before it may stand why there is none of the C library.
+    packages = [line for line in said.splitlines() if line.endswith(".deb")]
+    code, said, took_s = (code, said, 0.0) if code else sh("dpkg", "--install", packages[0], timeout_s=400.0)
     mode = os.stat(node)
     wrong_unless(
         found,
