@@ -177,7 +177,7 @@ def _heard(kind: str, body: bytes) -> list[tuple[float, ...]]:
         if hasattr(motor, "until"):
             motor.until = lambda _: None  # a time for its watchdog is refused, by name
     if hasattr(board, "_joined"):
-        board._joined = False  # a driver's frame for one motor is a motion, also if another one is read at the same time
+        board._joined = False  # a driver's frame for one motor is a motion, whatever is read at the same time
     if hasattr(board, "_looked_ns"):
         # The driver has written all of this at once, so no motor's timeout is over before the last byte is there.
         board._looked_ns = NEVER_NS
