@@ -13,6 +13,7 @@ from failstop.doctor.system import Holder, System
 from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package has a udev rule for this (docs/install.md; without dpkg: docs/service.md)")
+LEFT_ALONE = "ModemManager is running, but a rule tells it to leave this port alone"
 BRLTTY = "brltty"
 LINK = "/dev/failstop"
 """The board's name from the udev rule of the Debian package. This name stays the same when the board is plugged in
@@ -217,5 +218,4 @@ def grabbers(look: Look) -> list[Finding]:
             "their port disappears"
         )
         found += warn(text, "sudo apt purge brltty")
-    told = "ModemManager is running, but a rule tells it to leave this port alone"
-    return found or ok(told if "ModemManager" in names else "neither ModemManager nor brltty is running")
+    return found or ok(LEFT_ALONE if "ModemManager" in names else "neither ModemManager nor brltty is running")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from failstop.board.rrc.board import BOARD
+from failstop.doctor.port import LEFT_ALONE
 from tests.vm.scene import FAILSTOP, UNIT, Scene, sh, wrong_unless
 from tests.vm.table import Result
 
@@ -111,7 +112,7 @@ def modem(scene: Scene) -> Iterator[Result]:
             found,
             not_opened_without_the_rule=without_s is not None,
             opened_with_it=with_s is None,
-            doctor_misses_the_rule="told to leave this port alone" in said,
+            doctor_misses_the_rule=LEFT_ALONE in " ".join(said.split()),
         )
         found.note = f"without it {without_s or 0.0:.1f} s after the node"
     finally:
