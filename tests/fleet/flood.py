@@ -127,6 +127,9 @@ def publish(port: int, key: str, folder: str) -> None:
 def flooded(settings: FleetSettings, port: int, rate: int, qos: int, watched: psutil.Process) -> stats.Row:
     """How many genuine stops are confirmed meanwhile, and when the last one is."""
     took_ns, whys = [], []
+    progress("a stop without a flood, until no robot may still be connecting to the new broker")
+    if not Sender(settings, "bench", "bench").run():
+        raise TrialError("a stop was not confirmed even without a flood")
     with Flooder(port, rate, qos) as flooder:
         time.sleep(FLOODED_S)
         before_s, begin_s = sum(watched.cpu_times()[:2]), time.monotonic()
@@ -136,7 +139,7 @@ def flooded(settings: FleetSettings, port: int, rate: int, qos: int, watched: ps
             if sender.run(WAIT_S):
                 took_ns.append(round(sender.tally.times_s("acknowledged")[-1] * 1e9))
             else:
-                whys += [row.why for row in sender.tally.missing()]
+                whys += [*(row.why for row in sender.tally.missing()), *sender.doubts]
         percent = 100 * (sum(watched.cpu_times()[:2]) - before_s) / (time.monotonic() - begin_s)
         real = flooder.rate()
     slowest_s = max(took_ns, default=0) / 1e9
