@@ -84,8 +84,8 @@ class Run:
 
 
 def install(machine: Guest, run: Run) -> None:
-    """The guest goes on from its saved state, gets what is to be tried, and installs it: the first trial. Raises
-    GuestError if the package is not installed then, because no other trial can pass without it."""
+    """The guest goes on from its saved state, gets what is to be tried and installs it, which is the first trial.
+    Raises GuestError if the package is not installed then, because no other trial can pass without it."""
     with run.phase("start"):
         machine.start(guest.STATE)
         machine.must("date", "--set", f"@{int(time.time())}")

@@ -265,7 +265,7 @@ def test_a_new_incident_leaves_the_focus_where_it_is(trial: Trial, tab: Tab) -> 
 def test_an_incident_and_the_end_of_the_pairing_without_a_pointer(tab: Tab) -> None:
     tab.until("document.querySelector('.card') !== null", "an incident", 30)
     press(tab, "stop request")
-    tab.until("document.querySelector('.card[open]') !== null")
+    tab.until("document.activeElement.closest('.card').open")
     go_to(tab, "Events")
     press(tab, "Forget this device")
     tab.until("document.getElementById('buttons').hidden")

@@ -394,7 +394,8 @@ def _parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
     faults: Counter[tuple[str, str]] = Counter()
     for part, machine in zip(parts, said, strict=True):
         faults[f"{part['date']} at {part['commit'] or 'no commit'}", machine] += part["count"]
-    return [f"Run on {'; '.join(f'{when}: {count} faults{machine}' for (when, machine), count in faults.items())}."]
+    each = (f"{when}: {count} faults{machine}" for (when, machine), count in faults.items())
+    return [f"Run on {'; '.join(each)}."]
 
 
 def _wrong(result: Mapping[str, Any]) -> list[str]:

@@ -104,7 +104,9 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.Captur
     assert [part["count"] for part in parts] == [2, 2]
     assert both["machine"]["took_s"] == sum(part["took_s"] for part in parts)
     page = report.markdown(both)
-    assert f"Run on {parts[0]['date']} at {parts[0]['commit'] or 'no commit'}: " in page
+    together = all(parts[0][key] == parts[1][key] for key in ("date", "commit"))
+    told = "4 faults." if together else "2 faults; "
+    assert f"Run on {parts[0]['date']} at {parts[0]['commit'] or 'no commit'}: {told}" in page
     capsys.readouterr()
     assert cli.main(["chaos", "--resume", str(out), "--count", "1"]) == 1
     assert "it can't be continued: it was of another board or of other rows; --json" in capsys.readouterr().err
