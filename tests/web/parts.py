@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
+from failstop.api.snapshot import Block
 from failstop.web import control
 from failstop_lab.trial import Trial, TrialError, wait_for
 
@@ -136,7 +137,8 @@ class Web:
 
 @contextlib.contextmanager
 def driven(trial: Trial) -> Iterator[None]:
-    """Somebody commands all the time: zero until motion is enabled, since an enable holds who commands a velocity."""
+    """Somebody commands all the time: zero until motion is enabled, since an enable holds who commands a velocity, and
+    zero again after an enable that came between two looks at the state."""
     ended = threading.Event()
 
     def drive() -> None:
@@ -144,7 +146,8 @@ def driven(trial: Trial) -> Iterator[None]:
             while not ended.wait(0.02):
                 with contextlib.suppress(FailstopError):
                     robot.sensed()
-                    robot.drive(0.2 if robot.state.enabled else 0.0, 0.0, 0.0)
+                    state = robot.state
+                    robot.drive(0.2 if state.enabled and state.block is not Block.HELD else 0.0, 0.0, 0.0)
 
     thread = threading.Thread(target=drive)
     thread.start()
