@@ -89,11 +89,11 @@ ROWS = {
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
     "bench": Row("the bench", ("bench",), f'"$BIN"/python -c "{ASK}"'),
     "chaos": Row("campaign of random faults", ("chaos",), "echo rrc"),
-    "faults": Row("single faults of a process at its own calls", ("faults",), "echo rrc"),
     **{
         f"{kind}-{name}": Row(what, (*command, f"BOARD={kind}"), f"echo {kind}")
         for kind in ALL_KINDS
         for name, what, command in (
+            ("faults", "single faults of a process at its own calls", ("faults",)),
             ("simulate", "every single fault at every call, and seeds", ("simulate", "SEEDS=600")),
             ("seeds", "random orders and faults", ("seeds", "SECONDS=600")),
         )

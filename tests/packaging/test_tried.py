@@ -60,7 +60,7 @@ def test_of_a_release_that_is_built_twice_the_files_are_counted(tried: Any) -> N
             "2000 faults in 1101 s: 0 stops missed, 0 motion frames after a stop, 0 not as the table says",
         ),
         (
-            "faults",
+            "rrc-faults",
             "\n13111 runs at 2981 calls; 4816 more would be the same as one of these: 0 wrong, in 199 s\n",
             "13111 runs at 2981 calls; 4816 more would be the same as one of these: 0 wrong",
         ),
