@@ -427,7 +427,8 @@ class ArmState:
     closed: str
     """Why the arm accepts no goal at present. Empty if it accepts goals."""
     refused: str
-    """Why the last goal from arm.follow() or arm.jog() was refused. Empty if it was accepted."""
+    """Why the last goal from arm.follow() or arm.jog() was refused, or why the arm can't move toward it, for example
+    because a servo does not answer. Empty if there is no such reason."""
     released: bool
     """True if the arm's torque is off."""
     silent: tuple[int, ...]

@@ -272,7 +272,7 @@ def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
 def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
     bench.gate.enable()
     bench.goal()
-    assert bench.core.why_not() == bench.gate.core.arm_closed() == "wheels enabled"
+    assert bench.core.why_not(bench.now) == bench.gate.core.arm_closed() == "wheels enabled"
     assert bench.core.followed is None
 
 
@@ -300,17 +300,17 @@ def test_ended_stream_counts_again_after_its_timeout_or_its_pause(bench: ArmBenc
     for _ in range(3):
         bench.now += TIMEOUT_NS
         bench.goal()
-        assert bench.core.why_not() == ENDED
+        assert bench.core.why_not(bench.now) == ENDED
     bench.now += TIMEOUT_NS + 1
     bench.goal()
-    assert bench.core.why_not() == ""
+    assert bench.core.why_not(bench.now) == ""
     for but, why in ((ME, ""), (OTHER, ENDED), (None, ENDED)):
         bench.core.stop("stopped", but=but)
         bench.goal()
-        assert bench.core.why_not() == why
+        assert bench.core.why_not(bench.now) == why
         bench.core.pause(ME)
         bench.goal()
-        assert bench.core.why_not() == ""
+        assert bench.core.why_not(bench.now) == ""
 
 
 def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> None:
@@ -381,6 +381,40 @@ def test_place_that_can_not_be_read_in_time_ends_a_trajectory(bench: ArmBench) -
         bench.step()
     assert trajectory.outcome == "joint base: where it is can't be read"
     assert 0 < bench.now - begun_ns - FIND_NS <= 2 * APART_NS
+
+
+def test_stream_that_a_joint_keeps_from_beginning_says_which(bench: ArmBench) -> None:
+    base, shoulder = bench.core.joints[:2]
+
+    def stream(seconds: float) -> None:
+        """A client that goes on with its goals for both joints."""
+        until_ns = bench.now + round(seconds * 1e9)
+        while bench.now < until_ns:
+            bench.core.accept(Goal(goals.FOLLOW, ME, "client 11", bench.now, {base: 0.1, shoulder: 0.1}), "", bench.now)
+            bench.step()
+
+    bench.servos.change(2, bench.now, silent=True)
+    bench.until(lambda: shoulder.silent)
+    stream(0.5)
+    assert not bench.core.streaming()
+    assert bench.core.why_not(bench.now) == "joint shoulder: no answer from servo 2"
+    bench.servos.change(2, bench.now, silent=False)
+    stream(1.0)
+    assert bench.core.streaming()
+    assert bench.core.why_not(bench.now) == ""
+
+
+def test_stream_whose_joint_is_kept_moving_by_hand_says_that_it_can_not_be_read(bench: ArmBench) -> None:
+    bench.core.forget()
+    begun_ns, told = bench.now, ""
+    while not told:
+        assert bench.now - begun_ns <= FIND_NS + 2 * APART_NS
+        bench.servos.change(1, bench.now, position=300.0 + 300 * (len(bench.frames) % 2))
+        bench.goal()
+        bench.step()
+        told = bench.core.why_not(bench.now)
+    assert told == "joint base: where it is can't be read"
+    assert bench.now - begun_ns > FIND_NS
 
 
 @pytest.mark.parametrize(("off", "told"), [(-26, ""), (26, ""), (33, "is 3"), (-33, "is 3")])

@@ -123,6 +123,18 @@ def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene
     assert scene.finish() == (records.DONE, "arm is there"), "a silent servo keeps no other from moving"
 
 
+def test_a_journey_ends_if_a_hand_keeps_moving_a_joint_that_is_not_its_own(scene: Scene) -> None:
+    """That joint has no torque, and where it is decides what the others may hit."""
+    scene.result(records.ARM_RELEASE)
+    scene.run(1.0)
+    scene.execute({ELBOW: 0.5})
+    for turn in range(1000):
+        scene.servos.change(2, scene.clock(), position=300.0 + 17 * turn % 400)
+        scene.run(0.005)
+    assert scene.answered() == (records.REFUSED, "joint shoulder: where it is can't be read")
+    assert not scene.state()["moving"]
+
+
 LONG_ARM = {"base__length_m": 0.05, "base__turns": "yaw", "shoulder__length_m": 0.3, "shoulder__turns": "pitch"}
 
 
@@ -146,20 +158,22 @@ def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held(
     bench.until(lambda: trajectory.done)
     assert trajectory.outcome.startswith("the arm would hit something on its way: shoulder")
     assert bench.holds == [bench.now]
-    assert bench.core.why_not() == ""
+    assert bench.core.why_not(bench.now) == ""
     stood = shoulder.position
     bench.known()
     for _ in range(10):
         jog(bench, {1: 1.0})
         bench.run(0.2)
-    assert bench.core.why_not() == trajectory.outcome
+    assert bench.core.why_not(bench.now) == trajectory.outcome
     assert shoulder.velocity == 0.0
     assert shoulder.position == pytest.approx(stood, abs=10)
     gripper = bench.core.joints[5]
     begin = gripper.position
     jog(bench, {5: 0.5})
     bench.run(0.4)
-    assert (bench.core.why_not(), gripper.position > begin + 10) == ("", True), "a joint that changes no touch may move"
+    assert (bench.core.why_not(bench.now), gripper.position > begin + 10) == ("", True), (
+        "a joint that changes no touch may move"
+    )
 
 
 def test_only_the_joints_that_move_are_waited_for_where_nothing_is_looked_at(bench: ArmBench) -> None:

@@ -224,7 +224,7 @@ class ArmCore:
         joints = self._to_stream()
         if joints and not self._stream.on:
             if unknown := self._unknown(joints):
-                wanted = wanted or unknown
+                wanted = wanted or self._read_for(unknown, now_ns)
             elif not all(joint.loaded for joint in joints) or now_ns < self._free_ns():
                 return self._load(joints, now_ns), hold
             else:
@@ -269,6 +269,11 @@ class ArmCore:
     def _unknown(self, joints: list[Joint]) -> list[Joint]:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
+    def _read_for(self, unknown: list[Joint], now_ns: int) -> list[Joint]:
+        """Return these joints, which must be read before the arm can begin what it follows. A trajectory fails if that
+        takes too long, although all of its own joints were found: with collision checks the others must be read too."""
+        return _read_first(self.trajectory, unknown, now_ns) if self.trajectory else unknown
+
     def _free_ns(self) -> int:
         """Return the time when the servos' bus is free again after the last question and the last torque command."""
         return max(self._torque_ns, self._reader.free_ns())
@@ -305,8 +310,7 @@ class ArmCore:
         # bad.
         asked = all(joint.known or joint in silent for joint in trajectory.joints)
         if silent and (asked or trajectory.phase != goals.FINDING):
-            servos = _listed("servo", [str(joint.servo) for joint in silent])
-            trajectory.finish(f"{_named(silent)}: no answer from {servos}")
+            trajectory.finish(_no_answer(silent))
             self._end_stream()
             return []
         if trajectory.phase == goals.FINDING:
@@ -420,18 +424,36 @@ class ArmCore:
         judged (Joint.judged) are left out."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
-    def why_not(self) -> str:
+    def why_not(self, now_ns: int) -> str:
         """Return why the last goal of a stream was not accepted, or why the arm can't move toward this goal. Empty if
         there is no such reason."""
-        return self.refused or self._stream.blocked
+        return self.refused or self._stream.blocked or self._why_not_begun(now_ns)
+
+    def _why_not_begun(self, now_ns: int) -> str:
+        """Return which joints keep a stream from beginning, or an empty text. Joints that are just being read are no
+        reason."""
+        if self._goal is None or self._stream.on or self.trajectory:
+            return ""
+        unknown = self._unknown(list(self._goal.ends))
+        if silent := [joint for joint in unknown if joint.silent]:
+            return _no_answer(silent)
+        return _unread(unknown) if unknown and now_ns - self._rest_ns > FIND_NS else ""
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
     """Return these joints, which must be read before the trajectory can continue. After FIND_NS, the trajectory
     fails."""
     if now_ns - trajectory.since_ns > FIND_NS:
-        trajectory.finish(f"{_named(joints)}: where it is can't be read")
+        trajectory.finish(_unread(joints))
     return joints
+
+
+def _unread(joints: list[Joint]) -> str:
+    return f"{_named(joints)}: where it is can't be read"
+
+
+def _no_answer(joints: list[Joint]) -> str:
+    return f"{_named(joints)}: no answer from {_listed('servo', [str(joint.servo) for joint in joints])}"
 
 
 def _named(joints: list[Joint]) -> str:

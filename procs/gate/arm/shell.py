@@ -345,7 +345,7 @@ class Arm:
             "phase": trajectory.phase if trajectory else "",
             "moving": core.streaming(),
             "by": followed.who if followed else "",
-            "refused": core.why_not(),
+            "refused": core.why_not(now_ns),
             "closed": closed,
             "released": core.released,
             "silent": [joint.servo for joint in core.joints if joint.silent],
