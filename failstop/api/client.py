@@ -291,12 +291,22 @@ class Client:
         return payload
 
     def command(
-        self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
+        self,
+        vx_mps: float,
+        vy_mps: float,
+        wz_radps: float,
+        *,
+        manual: bool,
+        source: str,
+        t_ns: int | None = None,
+        flags: int = 0,
     ) -> None:
         """Send a velocity command to the gate, and return at once. `t_ns`: when the command was made (CLOCK_MONOTONIC),
-        by default now. The command does not wake the gate if it repeats a command that was sent less than REPEAT_NS
-        earlier. Raises NoService, and ValueError for a source whose name is too long."""
-        command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
+        by default now. `flags`: further flags of records.COMMAND. The command does not wake the gate if it repeats a
+        command that was sent less than REPEAT_NS earlier. Raises NoService, and ValueError for a source whose name is
+        too long."""
+        flags |= records.BY_HAND if manual else 0
+        command = self.write("command", vx_mps, vy_mps, wz_radps, flags, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()

@@ -57,6 +57,7 @@ LOOK_NS = 500_000_000
 """How often the guard checks whether the service still runs and whether the link to the guard port still exists."""
 SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
+WITHHELD = "it was driving when failstop was restarted, so it must send zero or pause before it can drive"
 PAST_NS = 4_000_000_000
 """How long bytes from the board are kept. When a driver opens the port, the guard first gives the newest of these bytes
 to the driver's DriverLanguage."""
@@ -409,7 +410,7 @@ class Guard:
             self._exceeded.add(limit)
             self._tell(f"{self._who} asks for {beyond}")
         settings = self._board.settings
-        if command.moves and settings and settings.on("guard.hang_up"):
+        if self._talk.drives and settings and settings.on("guard.hang_up"):
             block = self._board.block()
             if block in (Block.LATCHED, Block.DISABLED):
                 why = "a stop is latched" if block is Block.LATCHED else "motion is disabled"
@@ -444,6 +445,8 @@ class Guard:
             wrong = f"it has written no speed for {for_s}, and a speed counts for {counts_s:g} s (guard.timeout_s)"
         elif self._talk.refused:
             wrong = REFUSED + self._talk.refused
+        elif self._talk.withheld:
+            wrong = WITHHELD
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:

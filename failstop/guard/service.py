@@ -16,7 +16,7 @@ from failstop.api.snapshot import Block
 from failstop.api.state import StateReader
 from failstop.board import kinds
 from failstop.guard.scale import Scale
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.policy.settings import FIRST_SOURCE, Settings
 
 TYPE_CHECKING = False
@@ -123,7 +123,8 @@ class Service:
             return "", ""
         velocity = self.scale.velocity(command.speeds, command.steering_rad)
         try:
-            self._client.command(*velocity, manual=False, source=self.source, t_ns=command.t_ns)
+            flags = records.GUARDED | (records.STANDS_IN if command.stands_in else 0)
+            self._client.command(*velocity, manual=False, source=self.source, t_ns=command.t_ns, flags=flags)
         except NoService:
             self._drop()
             return "", ""

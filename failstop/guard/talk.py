@@ -38,11 +38,13 @@ NOT_WHEELS = "a motion that is not valid"
 
 class Command(Data):
     """A command for the service: the wheels' speeds by wire id, in the board's unit. `t_ns`: the time from which the
-    service counts the command's age."""
+    service counts the command's age. `stands_in`: True if the speeds are zero in place of a motion that the driver
+    wants. The service then does not take the zeros for a driver that has let go."""
 
     speeds: tuple[float, ...]
     t_ns: int
     steering_rad: float | None = None
+    stands_in: bool = False
 
     @property
     def moves(self) -> bool:
@@ -65,8 +67,14 @@ class Talk:
         self._lets_go = True
         """True if the driver's own newest motion is zero, or if the driver has written no motion. If failstop refuses a
         motion and replaces it with a stop, that stop is not the driver's own."""
+        self.withheld = False
+        """True if the driver was driving when the service was restarted, and has neither let go nor paused since. In
+        the meantime somebody may have enabled motion, when the new run did not know the driver yet. So zeros stand in
+        for the driver's motions."""
         self.refused = ""
         """Why the driver's newest motion was replaced by a stop, for people. Empty if it was not replaced."""
+        self._paused_ns = 0
+        """If the driver's next motion was written later than this, the driver has paused."""
         self._written_ns = 0
         """The earliest time at which the driver may have written its newest motion."""
         self._late_ns = self._late_at_ns = 0
@@ -87,6 +95,8 @@ class Talk:
 
     def resume(self, before: Talk) -> None:
         """Continue the conversation `before` with the same driver, after the service was restarted."""
+        self._lets_go, self.withheld = before._lets_go, before.holds
+        self._paused_ns = before._paused_ns
         if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
             resume(before._language)
 
@@ -120,8 +130,10 @@ class Talk:
             elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
                 self._frames[row.kind] = row
         if renewing := [row for row in motions if row.renews]:
-            self._move(renewing[-1].speeds, since_ns)
             self._lets_go = self._let_go_by(renewing)
+            self.withheld = self.withheld and self.holds and since_ns <= self._paused_ns
+            self._paused_ns = now_ns + self.timeout_ns
+            self._move(renewing[-1].speeds, since_ns)
         if motions:
             self._steer(motions[-1].steering_rad, now_ns)
         late = now_ns - since_ns > self._language.patience_ns
@@ -195,7 +207,8 @@ class Talk:
             if t_ns <= sent_ns or early or self._over:
                 return None
         self._sent_ns = t_ns
-        return Command(self._speeds, t_ns, self._steering_rad)
+        speeds = (0.0,) * self._wheels if self.withheld else self._speeds
+        return Command(speeds, t_ns, self._steering_rad, stands_in=self.holds and not any(speeds))
 
     @property
     def _last_ns(self) -> int:

@@ -19,7 +19,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.segment import Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 12
+LAYOUT_VERSION = 13
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds. The processes that it starts hold the blocks after this
 one."""

@@ -292,8 +292,13 @@ Times are in ns. If no stop is latched, the epoch is 0 and the cause is that of 
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
 """The board's port: (the port's number in this run, when its state began in ns, its state such as PORT_OPEN, its
 path)."""
-COMMAND: Payload[int, float, float, float, bool, str] = Payload(
-    "<Q3d?",
+BY_HAND, STANDS_IN, GUARDED = 1, 2, 4
+"""Flags of a velocity command. BY_HAND: a person drives. STANDS_IN: the velocity is zero in place of a motion that the
+program wanted, and that was refused or withheld. So the program has not let go. GUARDED: it is from a driver at the
+guard port. The guard repeats the driver's motion until it is as old as guard.timeout_s, so the time of the command says
+when the motion expires, but not when the driver wrote it."""
+COMMAND: Payload[int, float, float, float, int, str] = Payload(
+    "<Q3dB",
     Tail(
         lambda source: _whole(source, SOURCE_BYTES).ljust(SOURCE_BYTES, b"\0"),
         lambda data: (data.rstrip(b"\0").decode("ascii", "replace"),),
@@ -301,8 +306,8 @@ COMMAND: Payload[int, float, float, float, bool, str] = Payload(
         least=SOURCE_BYTES,
     ),
 )
-"""A velocity command: the client's session, vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise), True if a
-person drives, and the source. The name of the source is never cut, because a shorter name could be another source."""
+"""A velocity command: the client's session, vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise), its flags,
+and the source. The name of the source is never cut, because a shorter name could be another source."""
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )

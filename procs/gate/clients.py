@@ -115,9 +115,9 @@ class Slot:
             return None
         return (entry[1], *values) if writer == self.session else None
 
-    def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
+    def command(self, t_ns: int, vx: float, vy: float, wz: float, flags: int, source: str) -> Command:
         """Return a command of this session with these values."""
-        return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
+        return Command(self.session, self.who(), t_ns, (vx, vy, wz), source, flags)
 
     def said(self) -> tuple[int, str, str] | None:
         """Return (time, what the program sees, what is wrong) from the client's last report about itself. The texts are

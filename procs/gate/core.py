@@ -60,7 +60,9 @@ class GateCore:
         self._refresh_ns = settings.ns("gate.refresh_s")
         self._longest_step_ns = 2 * settings.ns("gate.period_s")
         self._kinematics = kinematics
-        self.sources = Sources(settings.sources(), settings.ns("gate.command_timeout_s"))
+        self.sources = Sources(
+            settings.sources(), settings.ns("gate.command_timeout_s"), settings.ns("guard.timeout_s")
+        )
         self.scan = ScanGate(settings.ns("scan.timeout_s"), on=settings.text("scan.gate") == "on")
         self.interlocks = Interlocks(settings.interlocks())
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
@@ -91,8 +93,8 @@ class GateCore:
         self._movers: set[int] = set()
         """The sessions whose commands have turned the wheels."""
         self._wants_motion = False
-        """True if the last command that drove was not zero. The velocity doesn't show this: without scans it is zero
-        too, but the driver drives on with the next scan."""
+        """True if the program whose command drove last wanted to move. The velocity doesn't show this: without scans it
+        is zero too, but the driver drives on with the next scan."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
         self._ramps_on = False
@@ -197,14 +199,15 @@ class GateCore:
         driver = self.sources.last_driver()
         if driver is None:
             return None
+        silent_ns = self.sources.silent_ns(driver, now_ns)
         if driver.by_hand or self._driver_silence == _WAIT:
             if any(self.velocity):
-                self.notes += self._losses.silent(driver, now_ns)
+                self.notes += self._losses.silent(driver, silent_ns, now_ns)
             return None
         if self._driver_silence == _LATCH:
-            return causes.DRIVER_SILENT(driver.who, (now_ns - driver.t_ns) // 1_000_000)
+            return causes.DRIVER_SILENT(driver.who, silent_ns // 1_000_000)
         self.stand_still()
-        self.notes.append(disabled_by_silence(driver, now_ns))
+        self.notes.append(disabled_by_silence(driver, silent_ns))
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
@@ -303,7 +306,7 @@ class GateCore:
             self.notes.append(note)
         driving, fell_back = self.sources.choose_driver(now_ns)
         if driving:
-            self._wants_motion = driving.moves
+            self._wants_motion = not driving.lets_go
         before = self.velocity
         if reason or driving is None:
             self.velocity = REST

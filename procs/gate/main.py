@@ -315,7 +315,7 @@ class Gate:
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
             velocity = records.PAD_COMMAND.unpack(payload)
-            self._command(Command(PAD_SESSION, PAD_SOURCE, t_ns, velocity, manual=True, source=PAD_SOURCE), now_ns)
+            self._command(Command(PAD_SESSION, PAD_SOURCE, t_ns, velocity, PAD_SOURCE, records.BY_HAND), now_ns)
         while request := self._pad_requests.next():
             kind, frame = records.PAD_REQUEST.unpack(request[2])
             if kind == records.PAD_RESET:

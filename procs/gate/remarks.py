@@ -90,10 +90,10 @@ def disabled_by_death(driver: Command, *, moved: bool) -> Note:
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
-def disabled_by_silence(driver: Command, now_ns: int) -> Note:
+def disabled_by_silence(driver: Command, silent_ns: int) -> Note:
     """Return the note that a driver's silence has disabled motion. It must always be logged, because motion stays
     disabled until somebody enables it."""
-    silent_ms = (now_ns - driver.t_ns) / 1e6
+    silent_ms = silent_ns / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
     return Note("disabled", text, {**fields, "silent_ms": round(silent_ms, 1)})
@@ -107,9 +107,10 @@ class DriverLosses:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
-    def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """Return the notes about a driver that has sent no command for longer than its timeout."""
-        silent_ms = (now_ns - driver.t_ns) / 1e6
+    def silent(self, driver: Command, silent_ns: int, now_ns: int) -> list[Note]:
+        """Return the notes about a driver that has sent no command for `silent_ns`, which is longer than its
+        timeout."""
+        silent_ms = silent_ns / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
             return self._note("driver_ended", driver, f"let go: {last}", now_ns)

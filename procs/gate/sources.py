@@ -24,20 +24,30 @@ PAD_SESSION = records.NOBODY
 
 
 class Command(Data):
-    """A velocity command with its session, the name of its program, its time (CLOCK_MONOTONIC ns) and its source. The
-    velocity is (vx, vy, wz) in m/s, m/s and rad/s."""
+    """A velocity command with its session, the name of its program, its time (CLOCK_MONOTONIC ns), its source and its
+    flags (records.COMMAND). The velocity is (vx, vy, wz) in m/s, m/s and rad/s."""
 
     session: int
     who: str
     t_ns: int
     velocity: tuple[float, float, float]
-    manual: bool = False
     source: str = FIRST_SOURCE
+    flags: int = 0
+
+    @property
+    def manual(self) -> bool:
+        """True if a person drives."""
+        return bool(self.flags & records.BY_HAND)
 
     @property
     def moves(self) -> bool:
         """True if the commanded velocity is not zero."""
         return any(self.velocity)
+
+    @property
+    def lets_go(self) -> bool:
+        """True if the program itself commands zero."""
+        return not (self.moves or self.flags & records.STANDS_IN)
 
     @property
     def by_hand(self) -> bool:
@@ -49,8 +59,10 @@ class Command(Data):
 class Sources:
     """Keeps the last command of each source, and chooses which source drives."""
 
-    def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
-        """`declared`: the sources as {name: (priority, timeout in ns)}, the highest priority first."""
+    def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int, guard_timeout_ns: int) -> None:
+        """`declared`: the sources as {name: (priority, timeout in ns)}, the highest priority first.
+        `guard_timeout_ns`: how long a motion of a driver at the guard port counts."""
+        self._guard_timeout_ns = guard_timeout_ns
         rows = {PAD_SOURCE: (PAD_PRIORITY, pad_timeout_ns), **declared}
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
@@ -76,27 +88,33 @@ class Sources:
         """Return the time when this command will be too old."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
+    def silent_ns(self, command: Command, now_ns: int) -> int:
+        """Return how long ago the program itself commanded this, ns. The time of a driver's command at the guard port
+        is that of the guard's last repeat."""
+        repeated_ns = self._guard_timeout_ns - self._timeout_ns[command.source]
+        return now_ns - command.t_ns + (repeated_ns if command.flags & records.GUARDED else 0)
+
     def rival(self, command: Command, now_ns: int) -> Command | None:
         """Return a fresh command of another program for the same source, or None."""
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
     def put(self, command: Command, now_ns: int) -> None:
-        """Keep a source's new command. A time stamp from the future counts as now. A held source is released by a zero
-        command, or by its first command after a pause."""
+        """Keep a source's new command. A time stamp from the future counts as now. A held source is released by its
+        program's own zero, or by its first command after a pause."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)
-            if not command.moves or before is None or command.t_ns >= self.stale_ns(before):
+            if command.lets_go or before is None or command.t_ns >= self.stale_ns(before):
                 del self._held[command.source]
         self._commands[command.source] = command
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
-        """Hold each source that commands a velocity, because motion is being enabled. Returns the names of the held
+        """Hold each source whose program wants to move, because motion is being enabled. Returns the names of the held
         programs. A source's commands count again after it has sent zero or paused."""
         fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
-        self._held = {source: command.who for source, command in fresh.items() if command.moves}
+        self._held = {source: command.who for source, command in fresh.items() if not command.lets_go}
         self._asked_ns = -1
         return list(self._held.values())
 
@@ -109,14 +127,15 @@ class Sources:
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """Return (name, age of its last command in ns) of each program that commanded motion within the last
+        """Return (name, time since its last command in ns) of each program that commanded motion within the last
         JUST_COMMANDED_NS and has paused since. Programs that a person drives by hand are left out. The returned
         programs are not held, because a held program is released by its first command after a pause."""
-        last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
+        programs = (command for command in self._commands.values() if not command.by_hand)
+        last = ((command, self.silent_ns(command, now_ns)) for command in programs)
         return [
             (command.who, age_ns)
             for command, age_ns in last
-            if command.moves and age_ns <= JUST_COMMANDED_NS and not self.fresh(command.source, now_ns)
+            if not command.lets_go and age_ns <= JUST_COMMANDED_NS and not self.fresh(command.source, now_ns)
         ]
 
     def drop(self, session: int) -> None:
@@ -161,6 +180,6 @@ class Sources:
             if fresh := self.fresh(name, now_ns):
                 state = "held" if name in self._held else "drives" if fresh is driving else "waits"
                 rows.append({"source": name, "priority": rank, "who": fresh.who, "state": state})
-            elif name == self._driver and (last := self._commands.get(name)) and last.moves and not last.by_hand:
+            elif name == self._driver and (last := self._commands.get(name)) and not (last.lets_go or last.by_hand):
                 rows.append({"source": name, "priority": rank, "who": last.who, "state": "silent"})
         return rows

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import select
+import signal
 import subprocess
 import sys
 import termios
@@ -18,6 +19,7 @@ import pytest
 from bench.guard_scene import GuardScene, Process
 from failstop import config, helpers
 from failstop.api.errors import FailstopError
+from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
 from failstop.guard import command
 from failstop.guard.door import Door
@@ -70,6 +72,40 @@ def test_a_service_that_is_started_again_takes_its_driver_again(scene: GuardScen
     scene.trial.board.events()
     driver.newest()
     assert {line.split("|")[0] for line in lines(driver, 10)} == {counts}, "its odometry does not jump"
+    assert scene.motion() == []
+
+
+COMMANDS_ALL_THE_TIME = """
+import os, select, signal, sys
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+motion, wrong = map(bytes.fromhex, sys.argv[2:])
+asked = []
+signal.signal(signal.SIGUSR1, lambda *_: asked.append(1))
+while True:
+    os.write(port, wrong if asked else motion)
+    print("wrong" if asked else "motion", flush=True)
+    asked.clear()
+    select.select([], [], [], 0.03)
+    while select.select([port], [], [], 0)[0]:
+        os.read(port, 4096)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.claim("MOVE-1")
+def test_what_is_refused_does_not_let_go_of_a_held_driver(scene: GuardScene) -> None:
+    driver = scene.python(COMMANDS_ALL_THE_TIME, b"m 20 20\r".hex(), b"z\r".hex())
+    driver.line()
+    wait_for("its command", lambda: any(row.state == "drives" for row in scene.trial.robot.state.sources))
+    scene.trial.robot.enable()
+    wait_for("the hold", lambda: scene.trial.robot.state.block is Block.HELD)
+    os.kill(driver.pid, signal.SIGUSR1)
+    driver.until("wrong")
+    assert scene.guard
+    scene.guard.until("refused the command 'z'")
+    for _ in range(20):
+        driver.until("motion")
+    assert scene.trial.robot.state.block is Block.HELD
     assert scene.motion() == []
 
 

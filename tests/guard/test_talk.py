@@ -223,6 +223,64 @@ def test_a_motion_that_was_replaced_by_a_stop_says_why_until_the_next_one() -> N
     assert made.refused == ""
 
 
+def test_zeros_in_place_of_a_motion_say_that_the_driver_has_not_let_go() -> None:
+    made = talk()
+    for at_ms, written, stands_in in (
+        (0, b"#", False),  # it has commanded no motion yet
+        (20, b"5,5", False),
+        (40, b"#", True),
+        (60, b"0,0", False),
+        (80, b"#", False),
+        (100, b"nan,1", True),
+    ):
+        made.wrote(written, at_ms * MS, at_ms * MS)
+        command = made.command(at_ms * MS)
+        assert command
+        assert command.stands_in is stands_in, written
+
+
+def restarted(written: bytes, at_ms: int = 0) -> Talk:
+    """The conversation with the same driver behind a new start of the service."""
+    before = talk()
+    before.wrote(written, at_ms * MS, at_ms * MS)
+    made = talk()
+    made.resume(before)
+    return made
+
+
+def moves(made: Talk, written: bytes, at_ms: int) -> bool:
+    made.wrote(written, at_ms * MS, at_ms * MS)
+    command = made.command(at_ms * MS)
+    assert command
+    assert command.stands_in is (made.holds and not command.moves)
+    return command.moves
+
+
+def test_a_driver_that_was_driving_at_a_restart_moves_nothing_until_it_lets_go() -> None:
+    made = restarted(b"5,5")
+    assert [moves(made, b"5,5", at_ms) for at_ms in range(20, 2000, 20)] == [False] * 99
+    assert made.withheld
+    assert not moves(made, b"#", 2000), "that is not its own zero"
+    assert not moves(made, b"5,5", 2020)
+    assert not moves(made, b"0,0", 2040)
+    assert moves(made, b"5,5", 2060)
+    assert not made.withheld
+
+
+@pytest.mark.parametrize(("after_ms", "driven"), [(300, False), (301, True)])
+def test_or_until_it_pauses(after_ms: int, driven: bool) -> None:
+    made = restarted(b"5,5", at_ms=1000)
+    assert moves(made, b"5,5", 1000 + after_ms) is driven
+    again = restarted(b"5,5")
+    assert not moves(again, b"5,5", 20)
+    assert moves(again, b"5,5", 20 + after_ms) is driven
+
+
+@pytest.mark.parametrize("written", [b"0,0", b"?", b"5,5 0,0"])
+def test_one_that_was_not_driving_at_a_restart_drives_at_once(written: bytes) -> None:
+    assert moves(restarted(written), b"5,5", 20)
+
+
 @pytest.mark.parametrize("written", [b"nan,1", b"inf,0", b"1", b"1,2,3"])
 def test_a_language_that_says_nonsense_stops_the_wheels(written: bytes) -> None:
     made = talk()

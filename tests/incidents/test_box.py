@@ -158,7 +158,7 @@ def test_a_tick_tells_whether_the_newest_command_is_the_one_that_drives() -> Non
     assert not none["drives"]
     for number, (taken, manual) in enumerate([(True, False), (False, False), (True, True), (False, True)]):
         source = "cmd_vel" if taken else "cmd_vel_and_much_more"
-        command = Command(1, "nav \udcff" + "x" * 60, at(number), (0.1, 0, 0), manual=manual, source=source)
+        command = Command(1, "nav \udcff" + "x" * 60, at(number), (0.1, 0, 0), source, records.BY_HAND if manual else 0)
         if taken:
             core.sources.put(command, at(number))
         gate.command(command)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.messages.records import BY_HAND
 from failstop.policy import kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import REST, GateCore
@@ -36,12 +37,18 @@ class Gate:
         return self.core.velocity[0]
 
     def accept(
-        self, velocity: Velocity, session: int = 1, age_ns: int = 0, *, source: str = "cmd_vel", manual: bool = False
+        self,
+        velocity: Velocity,
+        session: int = 1,
+        age_ns: int = 0,
+        *,
+        source: str = "cmd_vel",
+        manual: bool = False,
+        flags: int = 0,
     ) -> str:
         who, t_ns = f"client {session}", self.now - age_ns
-        return str(
-            self.core.accept(Command(session, who, t_ns, velocity, manual=manual, source=source), self.now) or ""
-        )
+        flags |= BY_HAND if manual else 0
+        return str(self.core.accept(Command(session, who, t_ns, velocity, source, flags), self.now) or "")
 
     def command(self, vx: float, source: str = "cmd_vel", session: int = 1, *, manual: bool = False) -> str:
         return self.accept((vx, 0.0, 0.0), session, source=source, manual=manual)

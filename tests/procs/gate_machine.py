@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from failstop.messages.records import BY_HAND, STANDS_IN
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
@@ -60,6 +61,8 @@ class GateMachine(RuleBasedStateMachine):
         self.latch: Cause | None = None
         self.latched_in = 0
         self.commands: dict[str, tuple[int, int, tuple[float, float, float], bool]] = {}
+        self.wanting: set[str] = set()
+        """The sources whose newest command is a motion, or a zero that stands in for one."""
         self.driver = ""
         self.held: set[str] = set()
         self.drivers: set[int] = set()
@@ -152,13 +155,22 @@ class GateMachine(RuleBasedStateMachine):
         age_ns=ages,
         source=st.sampled_from(["cmd_vel", "cmd_vel", "teleop"]),
         manual=st.booleans(),
+        stands_in=st.booleans(),
     )
     def accept(
-        self, velocity: tuple[float, float, float], session: int, age_ns: int, source: str, manual: bool
+        self,
+        velocity: tuple[float, float, float],
+        session: int,
+        age_ns: int,
+        source: str,
+        manual: bool,
+        stands_in: bool,
     ) -> None:
         """A command, as gate/main.py handles it: a fault stops, anything else steps at once."""
         who = f"client {session}"
-        command = Command(session, who, self.now - age_ns, velocity, manual=manual, source=source)
+        velocity = REST if stands_in else velocity
+        flags = (BY_HAND if manual else 0) | (STANDS_IN if stands_in else 0)
+        command = Command(session, who, self.now - age_ns, velocity, source, flags)
         fault = self.core.accept(command, self.now)
         if not all(map(isfinite, velocity)):
             assert fault == causes.NOT_FINITE(who)
@@ -171,8 +183,10 @@ class GateMachine(RuleBasedStateMachine):
         else:
             t_ns = min(self.now, self.now - age_ns)
             paused = source not in self.commands or t_ns - self.commands[source][1] > SOURCES[source][1]
-            if not any(velocity) or paused:
+            wants = stands_in or any(velocity)
+            if not wants or paused:
                 self.held.discard(source)
+            self.wanting = self.wanting | {source} if wants else self.wanting - {source}
             self.commands[source] = (session, t_ns, velocity, manual)
             self.drivers.add(session)
             self.move()
@@ -220,7 +234,7 @@ class GateMachine(RuleBasedStateMachine):
         if done and not self.enabled:
             self.stand()
             self.enabled = True
-            self.held = {source for source in SOURCES if self.counts(source) and any(self.commands[source][2])}
+            self.held = {source for source in SOURCES if self.counts(source) and source in self.wanting}
             assert ("must send zero or pause" in text) is bool(self.held)
             assert self.core.epoch == self.epoch
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.messages.records import FOR_AN_INTERLOCK
+from failstop.messages.records import BY_HAND, FOR_AN_INTERLOCK, GUARDED, STANDS_IN
 from failstop.policy import kinematics
 from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
@@ -250,6 +250,26 @@ def test_or_after_a_pause_of_its_timeout(paused_ns: int, drives: bool) -> None:
     assert (gate.tick() > 0.0) is drives
 
 
+def test_a_zero_that_stands_in_for_a_motion_lets_go_of_nothing() -> None:
+    """The guard writes it where it has refused what the driver wrote."""
+    gate = holding()
+    gate.accept(REST, flags=STANDS_IN)
+    gate.tick()
+    gate.command(0.1)
+    gate.tick()
+    assert (gate.blocked, gate.core.velocity) == ("let go first", REST)
+
+
+def test_an_enable_holds_a_program_whose_motion_was_refused_just_now() -> None:
+    gate = Gate()
+    gate.accept(REST, flags=STANDS_IN)
+    assert "client 1 must send zero or pause" in told(gate.core.enable(1, "", gate.now))[1]
+    gate.tick()
+    gate.command(0.1)
+    gate.tick()
+    assert (gate.blocked, gate.core.velocity) == ("let go first", REST)
+
+
 def test_every_enable_names_the_program_that_it_holds() -> None:
     gate = holding()
     held = (
@@ -328,7 +348,7 @@ def test_the_gamepad_is_held_too_until_its_stick_is_let_go() -> None:
 
     def pad(vx: float) -> float:
         velocity = (vx, 0.0, 0.0)
-        gate.core.accept(Command(PAD_SESSION, PAD_SOURCE, gate.now, velocity, manual=True, source=PAD_SOURCE), gate.now)
+        gate.core.accept(Command(PAD_SESSION, PAD_SOURCE, gate.now, velocity, PAD_SOURCE, BY_HAND), gate.now)
         return gate.tick()
 
     pad(0.1)
@@ -385,6 +405,32 @@ def test_what_a_driver_s_silence_does_is_a_setting(answer: str, blocked: str) ->
         assert [note.fields["who"] for note in gate.core.notes] == ["client 1"]
         gate.command(0.1)
         assert (gate.tick() > 0.0) is (answer == "wait")
+
+
+@pytest.mark.parametrize("answer", ["disable", "latch"])
+def test_a_driver_that_hangs_after_a_refused_motion_is_silent(answer: str) -> None:
+    gate = Gate(gate__driver_silence=answer)
+    gate.enable()
+    gate.drive((0.1, 0.0, 0.0), 5)
+    gate.accept(REST, flags=STANDS_IN)
+    gate.tick()
+    gate.tick(301 * MS)
+    assert (gate.silence is not None, gate.core.enabled) == (answer == "latch", answer == "latch")
+
+
+@pytest.mark.parametrize("guard_s", [0.1, 2.5])
+def test_a_driver_at_the_guard_port_was_silent_for_as_long_as_its_motion_counts(guard_s: float) -> None:
+    """The guard repeats its motion, and the time of the last repeat is when the motion would have to be repeated."""
+    gate = Gate(gate__driver_silence="latch", guard__timeout_s=guard_s)
+    gate.enable()
+    gate.silence, written_ns, counts_ns = None, gate.now, round(guard_s * 1e9)
+    while not gate.silence:
+        repeated_ns = min(gate.now, written_ns + counts_ns - 300 * MS)
+        gate.accept((0.1, 0.0, 0.0), age_ns=gate.now - repeated_ns, flags=GUARDED)
+        gate.tick()
+    silent_ms = (gate.now - written_ns) // MS
+    assert str(gate.silence) == f"driver silent: client 1, {silent_ms} ms"
+    assert 0 < silent_ms - guard_s * 1e3 <= TICK / MS
 
 
 @pytest.mark.parametrize("answer", ["disable", "latch"])

@@ -2,7 +2,7 @@
 #ifndef FS_LAYOUT_H
 #define FS_LAYOUT_H
 
-#define CLIENT_HASH UINT64_C(0x5dec6f13536fa6de)
+#define CLIENT_HASH UINT64_C(0x0f1ab87a019971b7)
 #define HEADER_BYTES 128
 #define CELL_HEADER_BYTES 24
 #define LINE_BYTES 64
@@ -10,6 +10,7 @@
 #define RUN_DIGITS 16
 #define ASKED_BYTES 180
 #define WHO_BYTES 64
+#define BY_HAND 1
 #define SOURCE_BYTES 16
 #define HELD_BYTES 200
 #define SAID_BYTES 190
@@ -158,7 +159,7 @@
 #define F_COMMAND_VX 8
 #define F_COMMAND_VY 16
 #define F_COMMAND_WZ 24
-#define F_COMMAND_MANUAL 32
+#define F_COMMAND_FLAGS 32
 #define N_COMMAND 33
 #define F_ASSERTED_SESSION 0
 #define N_ASSERTED 8

@@ -437,7 +437,7 @@ static int command(fs_robot *robot, const double *velocity, bool manual, const c
   memcpy(payload + F_COMMAND_VX, &velocity[0], 8);
   memcpy(payload + F_COMMAND_VY, &velocity[1], 8);
   memcpy(payload + F_COMMAND_WZ, &velocity[2], 8);
-  payload[F_COMMAND_MANUAL] = manual;
+  payload[F_COMMAND_FLAGS] = manual ? BY_HAND : 0;
   memcpy(payload + N_COMMAND, robot->run->source[source].text, robot->run->source[source].size);
   uint64_t now_ns = fsi_now_ns();
   result = put(robot, &robot->command, payload, sizeof payload, wanted_ns ? wanted_ns : now_ns);
