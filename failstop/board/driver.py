@@ -23,16 +23,14 @@ from failstop.data import Data
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from typing import Protocol
+    from typing import Any, Protocol
 
     Settings = Mapping[str, float | str]
 
     class DriverLanguage(Protocol):
         """One driver's conversation with the board. The guard makes a new object for each program that opens the port.
-
-        The guard also makes a new object if the service restarts while the driver keeps the port open. It then calls
-        the method `resume(before)` with the old object, if the class has one. resume() can copy values that must not
-        jump for the driver, such as counts that began at zero when the driver opened the port.
+        It also makes a new object if the service restarts while the driver keeps the port open, and if one of several
+        programs closes the port. It then calls resume() of the new object.
         """
 
         openers: int
@@ -56,12 +54,19 @@ if TYPE_CHECKING:
             reports that come unasked, but not the answers to failstop's own questions. For a board that only answers,
             return an empty list, and use its answers for the driver's next question."""
 
+        def resume(self, before: Any) -> None:
+            """Continue the conversation of `before`, an object of the same class, with the same driver. Copy what the
+            driver has set up, for example which motors it has disabled, because it won't do so again. Copy values that
+            must not jump for the driver, for example counts that began at zero when it opened the port, and the bytes
+            of an incomplete frame. Don't copy speeds, because nothing may turn before the driver commands it again. Do
+            nothing if each of the driver's frames stands alone. `before` must stay as it is."""
+
 
 class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop. Unless
     `refused` is True, they also mean that the driver has ended driving. Wheels that the driver's frame does not name
-    keep the speeds commanded before, but no longer than they would at the bare board. A language refuses what its board
-    would refuse, and leaves the speed limits to the service."""
+    keep the speeds commanded before. If each motor has a watchdog of its own, they keep them only for as long as that
+    watchdog would allow. A language refuses what its board would refuse, and leaves the speed limits to the service."""
 
     speeds: Sequence[float]
     refused: bool = False

@@ -10,6 +10,7 @@ import random
 import struct
 from binascii import crc_hqx
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,6 +21,9 @@ from failstop.guard.talk import Talk
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from tests.support.amounts import amount
+
+if TYPE_CHECKING:
+    from failstop.board.driver import DriverLanguage
 
 Piece = Callable[[random.Random], bytes]
 
@@ -85,6 +89,14 @@ def vesc(random_: random.Random) -> bytes:
     return length + payload + crc_hqx(payload, 0).to_bytes(2, "big") + b"\3"
 
 
+def codec_frame(steer: int, speed: int) -> bytes:
+    return struct.pack("<HhhH", 0xABCD, steer, speed, 0xABCD ^ steer ^ speed)
+
+
+def vesc_packet(payload: bytes) -> bytes:
+    return bytes((2, len(payload))) + payload + crc_hqx(payload, 0).to_bytes(2, "big") + b"\3"
+
+
 def _noise(random_: random.Random, size: int) -> bytes:
     return random_.choice((bytes(size), b"\xff" * size, random_.randbytes(size)))
 
@@ -112,6 +124,11 @@ def held(kind: str, settings: dict[str, object], written: list[bytes], said: lis
         assert all(isinstance(data, bytes) for data in talk.wrote(chunk, now_ns, now_ns))
         assert all(row.what.isprintable() and row.why.isprintable() for row in talk.refusals)
         talk.command(now_ns)
+    resumed = language_of(kind, flat)
+    assert resumed
+    resumed.resume(language)
+    assert all(isinstance(data, bytes) for chunk in said for data in resumed.heard(chunk, len(written)))
+    resumed.wrote(written[-1], len(written))
     talk.asked(written[0], len(written))
     talk.ended(written[-1], len(written))
 
@@ -148,3 +165,112 @@ def test_rows_are_of_the_four_kinds() -> None:
         found = {type(row) for row in rows}
         assert found <= {DriverMotion, DriverAnswer, DriverFrame, DriverRefusal}
         assert {DriverMotion, DriverRefusal} <= found, f"the pieces of {kind} reach too little: {found}"
+
+
+# A language that goes on where another one was: after the service has restarted, or after another program has closed
+# the port.
+
+ALL_WHEELS = {
+    "arduino": b"m 20 30\r",
+    "damiao": b"t20140000803F\rt20240000803F\r",
+    "feetech": b"".join(feetech.packet(wheel, feetech.WRITE, bytes((46, 44, 1))) for wheel in feetech.WHEELS),
+    "hoverboard": codec_frame(0, 100),
+    "rrc": framing.seal(3, struct.pack("<BB", 1, 4) + b"".join(struct.pack("<Bf", motor, 0.5) for motor in range(4))),
+    "ugv": b'{"T":1,"L":0.1,"R":0.1}\n',
+    "vesc": vesc_packet(b"\x08\0\0\3\xe8") + vesc_packet(b"\x22\1\x08\0\0\3\xe8"),
+}
+"""What gives every wheel a speed."""
+ONE_WHEEL = {
+    "damiao": b"t20140000803F\r",
+    "feetech": feetech.packet(7, feetech.WRITE, bytes((46, 44, 1))),
+    "rrc": framing.seal(3, struct.pack("<BBBf", 1, 1, 0, 0.5)),
+    "vesc": vesc_packet(b"\x08\0\0\3\xe8"),
+}
+"""What gives one wheel a speed, for the boards where the others then keep theirs."""
+SET_UP = {
+    "arduino": [b"r\r"],
+    "damiao": [b"C\r", b"t0018FFFFFFFFFFFFFFFD\r", b"t201400\r", b"t7FF8010055 0A01000000\r".replace(b" ", b"")],
+    "feetech": [feetech.packet(7, feetech.WRITE, b"\x28\0"), feetech.packet(8, feetech.WRITE, b"\x37\0")],
+    "hoverboard": [b""],
+    "rrc": [b""],
+    "ugv": [b'{"T":131,"cmd":0}\n', b'{"T":142,"cmd":500}\n'],
+    "vesc": [vesc_packet(b"\x0c\1\x90")],
+}
+"""What a driver sets up once, and does not repeat."""
+READS = {
+    "arduino": b"e\r",
+    "damiao": b"t7FF80100CC0000000000\r",
+    "feetech": feetech.packet(7, feetech.READ, b"\x28\2") + feetech.packet(8, feetech.READ, b"\x37\1"),
+    "rrc": framing.seal(5, b"\5\1"),
+    "ugv": b'{"T":130}\n',
+}
+
+
+def made(kind: str, settings: dict[str, object]) -> DriverLanguage:
+    language = language_of(kind, Settings({"board.kind": kind, **settings}).flat())
+    assert language
+    return language
+
+
+def continued(kind: str, settings: dict[str, object], before: DriverLanguage) -> DriverLanguage:
+    language = made(kind, settings)
+    language.resume(before)
+    return language
+
+
+def shown(language: DriverLanguage, chunk: bytes) -> list[object]:
+    return [(type(row), {key: getattr(row, key) for key in row.__annotations__}) for row in language.wrote(chunk, 1)]
+
+
+EVERY = [*((kind, {}) for kind in PIECES), ("vesc", CAR)]
+
+
+@pytest.mark.parametrize(("kind", "settings"), EVERY)
+def test_what_a_driver_has_set_up_holds_in_the_next_conversation(kind: str, settings: dict[str, object]) -> None:
+    for set_up in SET_UP[kind]:
+        before = made(kind, settings)
+        random_ = random.Random(3)
+        for _ in range(50):
+            before.heard(PIECES[kind](random_), 0)
+        before.heard(b"5000 -300\r\n5010 -310\r\n" if kind == "arduino" else b"", 0)
+        before.wrote(set_up, 0)
+        after = continued(kind, settings, before)
+        for chunk in (READS.get(kind, b""), ALL_WHEELS[kind]):
+            assert shown(after, chunk) == shown(before, chunk), set_up
+        if kind == "ugv":
+            report = b'{"T":1001,"L":0,"R":0}\r\n'
+            assert [after.heard(report, at) for at in (0, 1)] == [before.heard(report, at) for at in (0, 1)], set_up
+
+
+@pytest.mark.parametrize(("kind", "settings"), EVERY)
+def test_a_frame_that_is_cut_by_a_new_conversation_is_whole(kind: str, settings: dict[str, object]) -> None:
+    whole = ONE_WHEEL.get(kind, ALL_WHEELS[kind])
+    for cut in range(1, len(whole)):
+        before = made(kind, settings)
+        before.wrote(whole[:cut], 1)
+        after = continued(kind, settings, before)
+        assert shown(after, whole[cut:]) == shown(before, whole[cut:]), "both go on by themselves"
+        assert shown(after, whole) == shown(before, whole)
+
+
+@pytest.mark.parametrize("kind", ONE_WHEEL)
+def test_no_speed_is_taken_over_into_the_next_conversation(kind: str) -> None:
+    before = made(kind, {})
+    before.wrote(ALL_WHEELS[kind], 1)
+    after = continued(kind, {}, before)
+    *_, speeds = [row.speeds for row in after.wrote(ONE_WHEEL[kind], 1) if isinstance(row, DriverMotion)]
+    assert [bool(speed) for speed in speeds].count(True) == 1, speeds
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "speeds"),
+    [("mecanum", "differential", (1.0, 0.0)), ("differential", "mecanum", (1.0, 0.0, 0.0, 0.0))],
+)
+def test_a_motor_stays_disabled_when_the_service_comes_back_with_other_wheels(
+    was: str, becomes: str, speeds: tuple[float, ...]
+) -> None:
+    before = made("damiao", {"wheels.layout": was})
+    before.wrote(b"t0028FFFFFFFFFFFFFFFD\r", 0)
+    after = continued("damiao", {"wheels.layout": becomes}, before)
+    found = [tuple(row.speeds) for row in after.wrote(ALL_WHEELS["damiao"], 1) if isinstance(row, DriverMotion)]
+    assert found == [speeds]

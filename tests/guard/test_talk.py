@@ -44,6 +44,9 @@ class Words:
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         return [chunk.upper()]
 
+    def resume(self, before: Words) -> None:
+        self.asked = before.asked
+
 
 def talk(timeout_ms: int = 300, source_ms: int = 300) -> Talk:
     return Talk(Words(), 2, timeout_ms * MS, source_ms * MS)

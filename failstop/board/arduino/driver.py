@@ -133,9 +133,12 @@ class ArduinoDriver:
         return []
 
     def resume(self, before: ArduinoDriver) -> None:
-        """Copy the counts from `before`, the same driver program's ArduinoDriver from before the service restarted. If
-        the counts began at zero again, the program's odometry would jump."""
+        """Continue the conversation `before` with the same driver. If the counts began at zero again, the driver's
+        odometry would jump."""
         self._counts = self._kept = list(before._counts)
+        self._command, self._at, self._too_long = before._command, before._at, before._too_long
+        first, second = before._arguments
+        self._arguments = bytearray(first), bytearray(second)
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
         before, self._counted = self._counted, counters

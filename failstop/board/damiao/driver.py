@@ -103,6 +103,15 @@ class DamiaoDriver:
                 self._reports[data[0] & 15] = can_id, data
         return found
 
+    def resume(self, before: DamiaoDriver) -> None:
+        """Continue the conversation `before` with the same driver. Without this, a motor would obey the driver again
+        that the driver has disabled."""
+        self._open, self._line, self._asked = before._open, before._line, set(before._asked)
+        self._reports = before._reports | self._reports
+        known = slice(min(len(self._speeds), len(before._speeds)))
+        self._enabled[known] = before._enabled[known]
+        self._takes_speeds[known] = before._takes_speeds[known]
+
     def _run(self, line: bytes) -> list[Row]:
         """Handle one line, without its carriage return. An empty line does nothing here, although it makes a CANable
         repeat its newest command. A line of zeros does nothing either. The adapter may split a long line of zeros into

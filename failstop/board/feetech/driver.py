@@ -79,6 +79,18 @@ class FeetechDriver:
                 rows += self._accept(packet)
         return rows
 
+    def resume(self, before: FeetechDriver) -> None:
+        """Continue the conversation `before` with the same driver: with what it has written to the servos, and with
+        the values that they have reported, because a host exits if an answer is missing."""
+        self._packet = bytearray(before._packet)
+        for servo in self._memory.keys() & before._memory.keys():
+            measured = before._heard_of[servo] - self._heard_of[servo]
+            if not self._heard_of[servo]:
+                self._error[servo] = before._error[servo]
+            for at in (codec.TORQUE_SWITCH, _LOCK, *_SPEEDS, *measured):
+                self._memory[servo][at] = before._memory[servo][at]
+            self._heard_of[servo] |= measured
+
     def _byte(self, value: int) -> bytes:
         """Return the packet that this byte completes. Empty if it completes none."""
         packet = self._packet

@@ -84,6 +84,10 @@ class HoverboardDriver:
         self._kept = data[at:]
         return rows
 
+    def resume(self, before: HoverboardDriver) -> None:
+        """Continue the conversation `before` with the same driver."""
+        self._kept, self._kept_ns, self._length = before._kept, before._kept_ns, before._length
+
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         """Return the board's feedback for the driver, in whole frames."""
         data, at = self._heard + chunk, 0

@@ -75,6 +75,12 @@ class RrcDriver:
             rows += self._byte(value)
         return rows
 
+    def resume(self, before: RrcDriver) -> None:
+        """Continue the conversation `before` with the same driver."""
+        self._state, self._func, self._length = before._state, before._func, before._length
+        self._data, self._skipped = bytearray(before._data), before._skipped
+        self._kept = before._kept | self._kept
+
     def _byte(self, value: int) -> list[Row]:
         if self._state == _START:
             if value == framing.HEAD[0]:

@@ -82,6 +82,13 @@ class UgvDriver:
             self._line, self._too_long = b"", True
         return rows
 
+    def resume(self, before: UgvDriver) -> None:
+        """Continue the conversation `before` with the same driver. It gets reports only as often as it has asked for
+        them."""
+        self._line, self._too_long = before._line, before._too_long
+        self._flows, self._every_ns, self._passed_ns = before._flows, before._every_ns, before._passed_ns
+        self._kept = before._kept | self._kept
+
     def _run(self, line: bytes) -> list[Row]:
         if not line.strip(b" \t\r"):
             return []

@@ -74,6 +74,13 @@ class VescDriver:
             rows.append(_NO_PACKET)
         return rows
 
+    def resume(self, before: VescDriver) -> None:
+        """Continue the conversation `before` with the same driver. A driver may write the servo's position only when it
+        changes."""
+        self._wrote = before._wrote
+        if self._steering and before._steering:
+            self._angle_rad = before._angle_rad
+
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         """Return the answers to the driver's questions, in whole packets. The answers to failstop's own questions are
         not returned."""
