@@ -56,6 +56,11 @@ class Door:
             self._poll.register(fd, select.EPOLLIN)
 
     @property
+    def vacant(self) -> bool:
+        """True if no program has the pseudo-terminal open. False if one may have opened it since the last look()."""
+        return not self.count and not self._watch.stirs()
+
+    @property
     def crowded(self) -> bool:
         """True if the pseudo-terminal is open more times than allowed."""
         return self.count > self.most
@@ -74,6 +79,7 @@ class Door:
                 self._dying[pid] = opener, opener.times
                 self.count = max(0, self.count - opener.times)
                 news.ended = news.any = True
+                news.emptied |= not self.count
         for opened in self._watch.events():
             news.any = True
             self._opened = max(0, self._opened + (1 if opened else -1))
@@ -82,6 +88,7 @@ class Door:
             elif not self._expected() and self.count:
                 self.count -= 1
                 news.ended = True
+                news.emptied |= not self.count
         for pid in [pid for pid in self._dying if self._lives.get(pid) in ready or pid not in self._lives]:
             opener, left = self._dying.pop(pid)
             news.any = True
@@ -120,6 +127,11 @@ class Door:
         closing = sum(left for _, left in self._dying.values())
         self.count = max(self._opened - closing, shown) if hidden else shown
         self._update_lives(seen)
+        self.limit()
+
+    def limit(self) -> None:
+        """Have the kernel refuse more programs if the pseudo-terminal is open as many times as allowed, and let them in
+        if it is not."""
         self._pty.exclusive(on=self.count >= self.most)
 
     def _update_lives(self, seen: dict[int, Opener]) -> None:

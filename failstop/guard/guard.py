@@ -85,10 +85,13 @@ class Guard:
         self._unlinked = False
         """True after the guard has reported that it can't make its lost link again."""
         self._flooded = False
-        self._wrote = False
-        """True if the guard has read bytes from the current driver."""
         self._early = b""
         """Bytes that were written before the guard could see which program wrote them."""
+        self._next: Talk | None = None
+        """The conversation with the programs that still have the port open after one has closed it."""
+        self._unclean = False
+        """True if the terminal still has the settings of a driver that has gone, because another program may have set
+        them meanwhile."""
         self._empty_ns = monotonic_ns()
         """The last time at which no bytes from the driver were waiting to be read."""
         self._opened_ns = 0
@@ -118,13 +121,14 @@ class Guard:
         if not self._door.count:
             self._empty_ns = now_ns
         if news.ended:
-            self._end()
+            self._end(emptied=news.emptied)
         if news.any:
             self._recount(news.orphans)
-        elif self._pty.master in ready and not self._door.count:
+        left_bytes = self._pty.master in ready and not news.any
+        if not self._door.count and (left_bytes or self._unclean):
             # The guard sees a program before the program can write. So these bytes are from one that has gone already.
             # They would keep this loop from sleeping, and the next driver would be taken for their writer.
-            self._pty.clean()
+            self._clean(shared=False)
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
             self._look(now_ns)
@@ -159,7 +163,7 @@ class Guard:
         self._check_link()
         self._pty.check()
         if left := self._door.abandoned():
-            self._end()
+            self._end(emptied=False)
             self._recount(left)
 
     def _check_link(self) -> None:
@@ -184,9 +188,8 @@ class Guard:
         openers = self._openers()
         has, it = ("has", "it") if len(openers) == 1 else ("have", "them")
         lost = f", so {' and '.join(openers)} {has} lost it: start {it} again" if self._talk and openers else ""
-        self._talk, self._early, self._wrote = None, b"", False
         self._crowded = False
-        self._door.hang_up()
+        self._hang_up()
         self._tell(f"root hung up the port (vhangup){lost}; another terminal has taken its place")
         self._begin()
 
@@ -204,17 +207,17 @@ class Guard:
         self._door.recount(self._read_meanwhile)
         if before and not self._door.count:
             # The program has gone in the meantime. What it wrote must not be taken for bytes of the next one.
-            self._end()
+            self._end(emptied=True)
         if orphans and self._door.count:
-            self._door.hang_up()
+            self._hang_up()
             self._tell(
                 f"{orphans[0]} has let go of the port, but a child of it still had it open, so the guard hung up: open "
                 "the port with O_CLOEXEC, in the process that drives"
             )
             new = True
-            self._talk = None
         if new or not self._door.count:
             self._begin(self._talk)
+            self._answer_early()  # a program may have been found only now
         elif self._add_openers():
             self._who = " or ".join(self._openers())
             self._board.rename(*self._shown())
@@ -235,20 +238,31 @@ class Guard:
         return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
-        """Answer bytes that were written before the guard saw their writer. Motions in these bytes are not carried
-        out."""
+        """Answer the newest question in bytes that were written before the guard saw their writer. The earlier ones may
+        be from a program that has gone. Motions in these bytes are not carried out. If one of them is not zero, none of
+        the bytes counts."""
+        if not self._door.count:
+            return  # the program that wrote them may be found later
         early, self._early = self._early, b""
-        if self._talk and early:
-            answers = self._talk.asked(early, monotonic_ns())
+        if early and self._talk and (talk := self._continued(self._talk)):
+            answers = talk.asked(early, monotonic_ns())
             if answers is None:
-                self._talk = self._conversation()
-            for answer in answers or ():
+                return
+            self._talk = talk
+            for answer in answers[-1:]:
                 self._pty.write(answer)
 
     def _conversation(self) -> Talk | None:
         """Create a new conversation. Returns None if no program has the port open, or if no service was found yet."""
-        talk = self._new_talk()
+        talk, self._next = self._next or self._new_talk(), None
         return talk if self._door.count else None
+
+    def _continued(self, before: Talk) -> Talk | None:
+        """Create a new conversation with the programs that have set up the board in the conversation `before`. Returns
+        None if no service was found yet."""
+        if talk := self._new_talk():
+            talk.adopt(before)
+        return talk
 
     def _new_talk(self) -> Talk | None:
         """Create a new conversation, even if no program has the port open. Returns None if no service was found yet.
@@ -308,15 +322,16 @@ class Guard:
         room = records.WHO_BYTES // len(names) - len(" or ")
         return " or ".join(records.cut(name, room).decode() for name in names), None
 
-    def _end(self) -> None:
+    def _end(self, *, emptied: bool) -> None:
         """End the conversation after a program has closed the port or died. The conversation ends even if other
-        programs have the port open, because nothing shows which program wrote the bytes."""
-        unread, now_ns = self._pty.clean(), monotonic_ns()
+        programs have the port open, because nothing shows which program wrote the bytes. What they have set up on the
+        board stays. `emptied`: True if there was a moment in which no program had the port open."""
+        shared = not emptied and self._door.count > 0
+        unread, now_ns = self._clean(shared=shared), monotonic_ns()
         talk, self._talk = self._talk, None
-        # A program may open the port twice at its start, as Feetech's SDK does. Its first question may come before the
-        # guard has seen it.
-        self._early = unread if self._door.count and not self._wrote else b""
-        self._wrote, self._hasty = False, ""
+        # The unread bytes are still to be read in the next conversation, so it begins before ended() reads them.
+        self._next = self._continued(talk) if talk and shared else None
+        self._hasty = ""
         if talk:
             # If several programs had the port open, nobody can say which of them drove, and the one that has gone is no
             # longer counted.
@@ -334,6 +349,23 @@ class Guard:
                 self._tell_hasty(talk)
         elif unread and not self._door.count and (talk := self._new_talk()) and talk.ended(unread, now_ns):
             self._tell_hasty(talk)
+
+    def _clean(self, *, shared: bool) -> bytes:
+        """Make the terminal ready for the next driver, as far as the programs that have it open allow. `shared`: True
+        if one of them has had it open all the time. Returns the bytes that were not read yet.
+
+        A program may close the port and open it again at once, as Feetech's SDK does at its start. Its first question
+        may then be among these bytes."""
+        opened = self._unclean = not self._door.vacant
+        unread = self._pty.clean(shared=shared, opened=opened)
+        self._early = unread if opened else b""
+        self._door.limit()
+        return unread
+
+    def _hang_up(self) -> None:
+        """Take the port away from all programs, and end the conversation with them. Raises FailstopError or OSError."""
+        self._door.hang_up()
+        self._talk, self._early, self._unclean = None, b"", False
 
     def _may_drive(self) -> bool:
         """True if the driver's own newest motion is not zero. Also True if too many programs have the port open,
@@ -388,7 +420,6 @@ class Guard:
             self._empty_ns = now_ns
         if not chunk or self._talk is None:
             return empty
-        self._wrote = True
         for answer in self._talk.wrote(chunk, now_ns, since_ns):
             self._pty.write(answer)
         if not empty and now_ns - since_ns > LOOK_NS:
@@ -415,7 +446,7 @@ class Guard:
             if block in (Block.LATCHED, Block.DISABLED):
                 why = "a stop is latched" if block is Block.LATCHED else "motion is disabled"
                 self._board.leave(in_order=True)
-                self._door.hang_up()
+                self._hang_up()
                 self._tell(f"{self._who} wants to move while {why}, so its port was closed (guard.hang_up)")
                 self._begin()
 

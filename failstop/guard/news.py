@@ -30,5 +30,7 @@ class News:
         closed the port, or may have ended."""
         self.ended = False
         """True if a program that had the port open has closed it, or is dying or dead."""
+        self.emptied = False
+        """True if there was a moment in which no program had the port open. It may have been opened again since."""
         self.orphans: list[Opener] = []
         """Programs that have died while one of their children still has the port open."""

@@ -23,6 +23,7 @@ import contextlib
 import ctypes
 import os
 import re
+import select
 import struct
 from collections import Counter
 from itertools import takewhile
@@ -81,6 +82,11 @@ class Watch:
                     if watch == self._path and mask & (IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE):
                         found.append(bool(mask & IN_OPEN))
         return found
+
+    def stirs(self) -> bool:
+        """True if something has happened since the last call of events(). It may have happened to another file of the
+        path's directory."""
+        return bool(select.select((self.fd,), (), (), 0)[0])
 
     def close(self) -> None:
         os.close(self.fd)

@@ -11,6 +11,8 @@ This file depends on these facts about Linux:
 - After a driver has died, the guard can still read what the driver wrote. Bytes that the driver did not read are still
   there, and the next driver would read them.
 - If a driver stops the output of the terminal (TCOOFF), the output stays stopped for the next driver.
+- All programs that have the slave open share its settings, and the bytes that wait to be read. So only when no program
+  has it open may the guard set it up again.
 - Root can hang up a terminal (vhangup). All descriptors of the slave are dead then, even the guard's own descriptor.
 """
 
@@ -171,23 +173,40 @@ class Pty:
         with _alive():
             termios.tcgetattr(self.slave)
 
-    def clean(self) -> bytes:
-        """Reset the terminal after a driver has gone, for the next driver. Returns the gone driver's newest unread
-        bytes, at most MOST_READ. Raises HungUp."""
-        self._left = b""
+    def clean(self, *, shared: bool = False, opened: bool = False) -> bytes:
+        """Reset the terminal after a driver has gone. Returns the newest bytes that were written and not read yet, at
+        most MOST_READ. Raises HungUp.
+
+        `shared`: True if another program has had the terminal open all the time. For this program nothing changes, as
+        on a serial port. `opened`: True if a program may have opened the terminal since. The settings of the terminal
+        may be this program's then, so they are kept."""
         with _alive():
-            # If a driver has stopped the output (tcflow, or XOFF), what the next driver writes would not arrive here.
-            termios.tcflow(self.slave, termios.TCOON)
-            tty.setraw(self.slave, termios.TCSANOW)
-            # Drop only what the last driver did not read. What is on its way here may be from the next driver already.
-            termios.tcflush(self.slave, termios.TCIFLUSH)
+            if not shared:
+                self._left = b""
+                # If a driver has stopped the output (tcflow, or XOFF), what the next driver writes would not arrive
+                # here.
+                termios.tcflow(self.slave, termios.TCOON)
+            if shared or opened:
+                self._stop_echo()
+            else:
+                tty.setraw(self.slave, termios.TCSANOW)
+            if not shared:
+                # Drop only what the last driver did not read. What is on its way here may be from the next driver
+                # already.
+                termios.tcflush(self.slave, termios.TCIFLUSH)
         # Read only after that. As long as the terminal echoes, the board's bytes may come back as if a driver wrote
         # them.
         found = b""
         while part := self.read()[0]:
             found = (found + part)[-MOST_READ:]
-        self.exclusive(on=False)
         return found
+
+    def _stop_echo(self) -> None:
+        """Switch off the echo if it is on, and leave every other setting as it is."""
+        settings = termios.tcgetattr(self.slave)
+        if settings[3] & termios.ECHO:
+            settings[3] &= ~termios.ECHO
+            termios.tcsetattr(self.slave, termios.TCSANOW, settings)
 
     def hang_up(self) -> None:
         """Close the pseudo-terminal and open a new one. A program that still has the old one open reads the end of the

@@ -95,10 +95,8 @@ class Talk:
 
     def resume(self, before: Talk) -> None:
         """Continue the conversation `before` with the same driver, after the service was restarted."""
+        self.adopt(before)
         self._lets_go, self.withheld = before._lets_go, before.holds
-        self._paused_ns = before._paused_ns
-        if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
-            resume(before._language)
 
     @property
     def motion(self) -> tuple[float, ...] | None:
@@ -148,9 +146,16 @@ class Talk:
             return None
         return self._late_ns, self._language.patience_ns
 
+    def adopt(self, before: Talk) -> None:
+        """Continue with what the driver has set up on the board in the conversation `before`, and with the beginning of
+        a frame that it has written. No motion is taken over, but a driver that must let go first must still do so."""
+        self.withheld, self._paused_ns = before.withheld, before._paused_ns
+        if type(self._language) is type(before._language) and (resume := getattr(self._language, "resume", None)):
+            resume(before._language)
+
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
         """Handle bytes from this driver or from a driver that has gone. Returns the answers. Returns None if the bytes
-        contain a motion other than zero. The caller must then begin a new conversation, so that none of the bytes
+        contain a motion other than zero. The caller must then drop this conversation, so that none of the bytes
         counts."""
         rows = self._language.wrote(chunk, now_ns)
         if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +19,7 @@ from failstop.api.errors import FailstopError
 from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
+from failstop.guard.news import News
 from failstop.guard.openers import Held, owners
 from failstop.guard.pty import Pty
 from tests.support.waiting import until
@@ -469,6 +472,124 @@ def test_a_dry_run_says_nothing_of_answers_that_no_driver_waits_for(desk: Desk, 
     desk.do(driver, OPEN, f"os.write(port, b'{written.decode()}')")
     desk.says("passed on to the board")
     assert not [line for line in desk.lines if UNANSWERED in line]
+
+
+# A program that closes the port and opens it again at once, and one that closes it while another one has it open.
+
+TWO: dict[str, object] = {"guard.openers": 2}
+CLOSE = "os.close(port)"
+ASK = r"os.write(port, b'e\r')"
+ANSWERED = r"select.select([port], [], [], 5); assert os.read(port, 100) == b'0 0\r\n'"
+HALF_A_SECOND = (
+    "import termios; found = termios.tcgetattr(port); found[6][termios.VMIN] = 0; found[6][termios.VTIME] = 5; "
+    "termios.tcsetattr(port, termios.TCSANOW, found)"
+)
+
+
+def reads(desk: Desk) -> list[int]:
+    """After how many bytes, and after which time, a read from the terminal returns."""
+    characters = termios.tcgetattr(desk.pty.slave)[6]
+    return [characters[termios.VMIN], characters[termios.VTIME]]
+
+
+@pytest.mark.parametrize("desk", [TWO], indirect=True)
+@pytest.mark.parametrize(
+    "last", ["pass", r"os.write(port, b'b\r')", r"os.write(port, b'm 0 0\r')"], ids=["waits", "asks", "stops"]
+)
+def test_the_first_question_after_the_port_was_closed_and_opened_is_answered(desk: Desk, last: str) -> None:
+    """Also if the program had written before, whatever the guard has not read of that."""
+    driver = desk.script()
+    desk.do(driver, OPEN, ASK, ANSWERED)
+    desk.unseen(driver, last, CLOSE, OPEN, ASK)
+    desk.do(driver, ANSWERED)
+    desk.do(driver, ASK, ANSWERED)
+
+
+@pytest.mark.parametrize("desk", [TWO], indirect=True)
+def test_a_program_keeps_the_settings_that_it_made_right_after_it_opened_the_port_again(desk: Desk) -> None:
+    """Otherwise a read that should return after half a second would never return."""
+    driver = desk.script()
+    desk.do(driver, OPEN)
+    desk.unseen(driver, CLOSE, OPEN, HALF_A_SECOND)
+    assert reads(desk) == [0, 5]
+    desk.says("has ended")
+    desk.turn()
+    assert reads(desk) == [0, 5]
+    desk.do(driver, CLOSE)
+    desk.until(lambda: reads(desk) == [1, 0], "the next program to find it as the first did")
+
+
+@pytest.mark.parametrize("desk", [TWO], indirect=True)
+def test_a_program_may_open_the_port_again_while_the_guard_handles_that_it_was_closed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver, look = desk.script(), desk.door.look
+    desk.do(driver, OPEN, ASK, ANSWERED)
+
+    def then_opened(ready: dict[int, int]) -> News:
+        news = look(ready)
+        if news.ended:
+            monkeypatch.undo()
+            desk.unseen(driver, OPEN, HALF_A_SECOND, ASK)
+        return news
+
+    monkeypatch.setattr(desk.door, "look", then_opened)
+    desk.unseen(driver, CLOSE)
+    desk.says("has ended")
+    desk.do(driver, ANSWERED)
+    assert reads(desk) == [0, 5]
+
+
+@pytest.mark.parametrize("desk", [TWO], indirect=True)
+def test_a_program_keeps_its_settings_when_another_one_closes_the_port(desk: Desk) -> None:
+    driver, other = desk.script(), desk.script()
+    desk.do(driver, OPEN, HALF_A_SECOND)
+    desk.do(other, OPEN)
+    desk.until(lambda: len(desk.door.seen) == 2, "both to be seen")
+    desk.do(other, CLOSE)
+    desk.until(lambda: len(desk.door.seen) == 1, "one to be seen")
+    assert reads(desk) == [0, 5]
+
+
+@pytest.mark.parametrize("desk", [{"board.kind": "damiao", **TWO}], indirect=True)
+def test_what_a_program_has_set_up_stays_when_another_one_closes_the_port(desk: Desk) -> None:
+    driver, other = desk.script(), desk.script()
+    disables, turns = r"os.write(port, b't0018FFFFFFFFFFFFFFFD\r')", r"os.write(port, b't20140000A040\r')"
+    desk.do(driver, OPEN, turns)
+    desk.says("motion: wheels 5 0")
+    desk.do(driver, disables)
+    desk.do(other, OPEN)
+    desk.until(lambda: len(desk.door.seen) == 2, "both to be seen")
+    desk.do(other, CLOSE)
+    desk.until(lambda: len(desk.door.seen) == 1, "one to be seen")
+    desk.lines.clear()
+    desk.do(driver, turns)
+    desk.says("refused a speed for motor 1, which the driver has disabled")
+    assert not [line for line in desk.lines if "motion" in line]
+
+
+def _excludes(desk: Desk) -> bool:
+    """True if the kernel refuses an ordinary user's program."""
+    return fcntl.ioctl(desk.pty.slave, 0x80045440, bytes(4)) != bytes(4)
+
+
+@AS_ROOT
+@pytest.mark.parametrize(
+    ("desk", "refuses"), [({"guard.openers": 1}, True), (TWO, False)], indirect=["desk"], ids=["one", "two"]
+)
+def test_one_more_program_is_let_in_as_soon_as_there_is_room_and_not_before(
+    desk: Desk, refuses: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also while the guard finds out which programs have the port open. That takes long on a busy computer."""
+    driver, other = desk.script(), desk.script()
+    desk.do(driver, OPEN)
+    desk.do(other, OPEN)
+    desk.until(lambda: desk.door.count == 2 and _excludes(desk), "both to be seen")
+    search, found = desk.door.recount, []
+    monkeypatch.setattr(desk.door, "recount", lambda meanwhile: (found.append(_excludes(desk)), search(meanwhile)))
+    desk.do(other, CLOSE)
+    desk.until(lambda: found, "a search")
+    assert found == [refuses]
 
 
 # A link that is lost.

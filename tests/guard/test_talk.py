@@ -309,3 +309,15 @@ def test_a_flood_of_frames_is_bounded() -> None:
     made = talk()
     made.wrote(b" ".join(b"=%c" % number for number in range(48, 91)), 0, 0)
     assert sum(bool(made.frame(at_ms * MS)) for at_ms in range(0, 2000, 5)) == 8
+
+
+def test_a_driver_that_must_let_go_first_must_still_do_so_when_another_program_closes_the_port() -> None:
+    before, restarted, after = talk(), talk(), talk()
+    before.wrote(b"0.2,0.2", 0, 0)
+    restarted.resume(before)
+    after.adopt(restarted)
+    after.wrote(b"0.2,0.2", 100 * MS, 100 * MS)
+    (command,) = [command for at_ms, command in commands(after, 110) if at_ms >= 100]
+    assert (command.speeds, command.stands_in) == ((0, 0), True)
+    after.wrote(b"0,0", 200 * MS, 200 * MS)
+    assert not after.withheld

@@ -81,13 +81,13 @@ def test_a_second_program_of_an_ordinary_user_is_refused_by_the_kernel(
     try:
         pty.exclusive(on=True)
         assert open_as_nobody(pty.name, gid_of(MEMBER)) == "EBUSY"
-        pty.clean()
+        pty.exclusive(on=False)
         assert open_as_nobody(pty.name, gid_of(MEMBER)) == "open", "the next driver gets it"
         slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
         fcntl.ioctl(slave, termios.TIOCEXCL)
         os.close(slave)
         assert open_as_nobody(pty.name, gid_of(MEMBER)) == "EBUSY", "a dead driver's exclusive mode is still on"
-        pty.clean()
+        pty.exclusive(on=False)
         assert open_as_nobody(pty.name, gid_of(MEMBER)) == "open"
     finally:
         pty.close()
