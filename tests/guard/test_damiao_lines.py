@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from failstop.board.damiao import codec
+from failstop.board.damiao.driver import MOTOR_NS
 from failstop.board.damiao.wire import WIRE
 from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop.guard.scale import Scale
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 HOST = json.loads((Path(__file__).parent.parent / "board" / "recorded_damiao_host.json").read_text())
+MS = 1_000_000
+MOTOR_MS = MOTOR_NS // MS
 BYTE_NS = 10_000
 FRAME_NS = 200_000
 ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
@@ -114,6 +117,37 @@ def test_every_motor_is_driven_by_one_driver() -> None:
     assert motions(chunk) == [(3, 0), (3, -7.5), (0, -7.5), (0, 0)] == commanded(chunk)
     four = made("mecanum")
     assert motions(b"".join(speed(motor, motor) for motor in (1, 2, 3, 4)), four)[-1] == (1, 2, 3, 4)
+
+
+def test_a_speed_of_one_motor_keeps_no_other_one_turning() -> None:
+    """Each motor may have a thread of its own, and one of them may hang."""
+    language = made()
+    language.wrote(speed(2, 5.0), 0)
+    for at_ms in range(100, MOTOR_MS, 100):
+        (row,) = language.wrote(speed(1, 3.0), at_ms * MS)
+        assert isinstance(row, DriverMotion)
+        assert (tuple(row.speeds), row.refused) == ((3, 5), False)
+    for value in (3.0, 0.0):
+        refusal, row = language.wrote(speed(1, value), MOTOR_MS * MS)
+        assert isinstance(refusal, DriverRefusal)
+        assert "has not commanded this one for too long" in refusal.why
+        assert isinstance(row, DriverMotion)
+        assert (tuple(row.speeds), row.refused) == ((value, 0), True), "the driver has not ended driving"
+    (row,) = language.wrote(speed(2, 0.0), MOTOR_MS * MS)
+    assert isinstance(row, DriverMotion)
+    assert (tuple(row.speeds), row.refused) == ((0, 0), False)
+
+
+def test_a_motor_keeps_its_speed_for_as_long_as_the_settings_let_a_speed_count() -> None:
+    language = language_of("damiao", Settings({"board.kind": "damiao", "guard.timeout_s": 2.5}).flat())
+    assert language
+    found = []
+    for at_ms in (0, 2000, 4000):
+        for motor in (1, 2):
+            (row,) = language.wrote(speed(motor, 3.0), (at_ms + motor) * MS)
+            assert isinstance(row, DriverMotion)
+            found.append((tuple(row.speeds), row.refused))
+    assert found == [((3, 0), False), *[((3, 3), False)] * 5]
 
 
 @pytest.mark.parametrize("size", [4, 5, 8])

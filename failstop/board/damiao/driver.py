@@ -5,8 +5,9 @@ through the slcan of python-can 4.6.1, the vendor's DM_Control_Python (7da9387),
 (9866604). A speed frame may have four bytes or more, and its digits may be lower-case, because the adapters accept
 both. failstop answers each speed, and each command to enable or disable a motor, with the motor's newest report. The
 status in this answer is the motor's fault, if any. Otherwise it says whether the driver has enabled the motor. A
-driver's question for a register is passed on to the motor, and the answer is passed back. Answers to failstop's own
-questions are not passed on.
+speed for one motor does not keep another motor turning, because a driver may have a thread for each motor, and one of
+them may hang. A driver's question for a register is passed on to the motor, and the answer is passed back. Answers to
+failstop's own questions are not passed on.
 
 failstop itself opens the adapter and enables the motors. So it does not pass on the driver's commands to open, close,
 enable or disable, and only remembers them. If the driver has closed the adapter, it moves no motor until it opens the
@@ -37,6 +38,9 @@ PATIENCE_NS = 1_000_000_000
 PAST_NS = 1_000_000_000
 """A new DamiaoDriver first gets what the motors sent in the last PAST_NS ns before the driver opened the port. Every
 motor sends at least one report in this time."""
+MOTOR_NS = 500_000_000
+"""A motor that the driver has not commanded for this long, in ns, gets speed zero, unless the setting guard.timeout_s
+is longer. It is the time of the motors' watchdogs, as failstop sets them."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """The length of the shortest speed frame, in bytes."""
@@ -57,16 +61,28 @@ _NO_LINE = DriverRefusal(
 _CLOSED = DriverRefusal("a frame while the adapter is closed", "the wheels stop: open the adapter first (O)")
 _OTHER_FRAME = DriverRefusal("a frame with an extended id, or without data", "no motor takes such a frame")
 _NO_NUMBER = DriverRefusal("a speed that is no number", "the wheels were stopped")
+_SILENT_MOTOR = DriverRefusal(
+    "the last speed of a motor",
+    "the driver commands other motors, but has not commanded this one for too long, so it was stopped: does a thread "
+    "hang?",
+)
 _BIT_RATE = DriverRefusal("another bit rate of the CAN", "the adapter stays at 1 Mbit/s (S8), which the motors have")
 
 
 class DamiaoDriver:
     """Reads the lines that one driver program writes to the guard port, and answers them as the motors would."""
 
-    def __init__(self, motors: int) -> None:
-        """`motors` is the number of motors. Their CAN ids are counted from 1."""
+    def __init__(self, motors: int, motor_ns: int = MOTOR_NS) -> None:
+        """`motors` is the number of motors. Their CAN ids are counted from 1. `motor_ns`: how long a motor keeps its
+        speed while the driver commands only other motors, in ns."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
+        self._motor_ns = motor_ns
         self._speeds = [0.0] * motors
+        self._commanded_ns = [0] * motors
+        """The time of the driver's newest speed for each motor, in ns."""
+        self._silent: set[int] = set()
+        """The motors that were stopped because the driver had not commanded them. It has not ended driving, so if it
+        dies, that counts as the death of a driver."""
         self._enabled = [True] * motors
         self._takes_speeds = [True] * motors
         """True for each motor that the driver has in speed mode. It becomes False if the driver asks for another mode,
@@ -84,7 +100,7 @@ class DamiaoDriver:
         """Return the rows (see failstop/board/driver.py) that these bytes from the driver ask for."""
         *lines, rest = (self._line + chunk).split(slcan.CR)
         self._line = rest[: _LONGEST + 1]
-        return [row for line in lines for row in self._run(line)]
+        return [row for line in lines for row in self._run(line, now_ns)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         """Store the motors' reports. The driver's next frames are answered from this store. Returns the motors' answers
@@ -112,7 +128,7 @@ class DamiaoDriver:
         self._enabled[known] = before._enabled[known]
         self._takes_speeds[known] = before._takes_speeds[known]
 
-    def _run(self, line: bytes) -> list[Row]:
+    def _run(self, line: bytes, now_ns: int) -> list[Row]:
         """Handle one line, without its carriage return. An empty line does nothing here, although it makes a CANable
         repeat its newest command. A line of zeros does nothing either. The adapter may split a long line of zeros into
         several lines, but no line of zeros is a command."""
@@ -135,7 +151,7 @@ class DamiaoDriver:
         if frame is None:
             return self._unknown(_NO_LINE)
         # A closed adapter would keep the frame and send it when it is opened.
-        return self._frame(*frame) if self._open else self._unknown(_CLOSED)
+        return self._frame(*frame, now_ns) if self._open else self._unknown(_CLOSED)
 
     def _unknown(self, why: DriverRefusal) -> list[Row]:
         """Stop the wheels after a line that could mean anything. Nobody knows what the bare adapter and its motors
@@ -145,19 +161,19 @@ class DamiaoDriver:
         self._takes_speeds = [False] * len(self._speeds)
         return [why, *self._stop()]
 
-    def _frame(self, can_id: int, data: bytes) -> list[Row]:
+    def _frame(self, can_id: int, data: bytes, now_ns: int) -> list[Row]:
         if can_id == codec.REGISTERS_ID:
             return self._register(data)
         mode, motor = can_id >> 8, can_id & 0xFF
         if not 0 < motor <= len(self._speeds):
             return [self._nobody(motor)]
         if mode == codec.SPEED_ID >> 8:
-            return self._speed(motor, data)
+            return self._speed(motor, data, now_ns)
         if mode == _MIT and len(data) == len(codec.ENABLE) and data.startswith(_PREFIX) and data[7] >= _CLEAR:
             return self._switch(motor, data[7])
         return [DriverRefusal(_NO_SPEED.get(mode, f"a frame with the CAN id {can_id:#x}"), _USE_SPEEDS), *self._stop()]
 
-    def _speed(self, motor: int, data: bytes) -> list[Row]:
+    def _speed(self, motor: int, data: bytes, now_ns: int) -> list[Row]:
         if len(data) < _LEAST_SPEED:
             return self._unknown(_NO_LINE)
         (speed,) = _SPEED.unpack_from(data)
@@ -167,8 +183,13 @@ class DamiaoDriver:
             state = "disabled" if self._takes_speeds[motor - 1] else "put into another mode"
             refused = DriverRefusal(f"a speed for motor {motor}, which the driver has {state}", "it would not turn")
             return [refused, *self._report(motor)]
-        self._speeds[motor - 1] = speed
-        return [self._motion(), *self._report(motor)]
+        self._speeds[motor - 1], self._commanded_ns[motor - 1] = speed, now_ns
+        self._silent.discard(motor - 1)
+        for other, commanded_ns in enumerate(self._commanded_ns):
+            if self._speeds[other] and now_ns - commanded_ns >= self._motor_ns:
+                self._speeds[other] = 0.0
+                self._silent.add(other)
+        return [*([_SILENT_MOTOR] if self._silent else []), self._motion(), *self._report(motor)]
 
     def _switch(self, motor: int, what: int) -> list[Row]:
         """Handle the driver's command to enable a motor, to disable it, or to clear its fault. A motor that becomes
@@ -185,6 +206,7 @@ class DamiaoDriver:
         if what == _ENABLE and was:
             return self._report(motor)
         was_told, self._speeds[motor - 1] = self._speeds[motor - 1], 0.0
+        self._silent.discard(motor - 1)
         return [*([self._motion()] if was_told else []), *self._report(motor)]
 
     def _register(self, data: bytes) -> list[Row]:
@@ -235,15 +257,17 @@ class DamiaoDriver:
         return [DriverAnswer(slcan.line(can_id, bytes((status << 4 | motor,)) + data[1:]))]
 
     def _motion(self) -> DriverMotion:
-        return DriverMotion(tuple(self._speeds))
+        return DriverMotion(tuple(self._speeds), refused=bool(self._silent))
 
     def _stop(self) -> list[Row]:
         self._speeds = [0.0] * len(self._speeds)
+        self._silent.clear()
         return [DriverMotion(tuple(self._speeds), refused=True)]
 
 
 def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
     """Make a DamiaoDriver for a program that has opened the guard port. The number of motors is one more than the
-    highest wheel id in the settings."""
+    highest wheel id in the settings. A motor keeps its speed for no less time than the setting guard.timeout_s."""
     ids = [int(value) for key, value in settings.items() if key.startswith("wheels.id_")]
-    return DamiaoDriver(1 + max(ids, default=1))
+    timeout_ns = round(float(settings.get("guard.timeout_s", 0.0)) * 1e9)
+    return DamiaoDriver(1 + max(ids, default=1), max(MOTOR_NS, timeout_ns))
