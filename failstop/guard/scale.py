@@ -56,5 +56,5 @@ class Scale:
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]
                 why = f"because {scale.ASSUMED}; {scale.REMEDY}" if capped else f"which the setting {key} allows"
-                return key, f"{abs(asked):.2f} {unit} {way} and gets {most:g}, {why}"
+                return key, f"{abs(asked):.2f} {unit} {way} and gets at most {most:g}, {why}"
         return "", ""

@@ -169,8 +169,11 @@ def test_a_longer_timeout_keeps_a_slow_driver_going_and_a_hung_guard_does_not(
 @pytest.mark.parametrize(
     ("confirmed", "gets"),
     [
-        (114.5, "and gets 0.2, which the setting limits.vx_mps allows"),
-        (0, "and gets 0.05, because nobody has confirmed the scale of the wheels (board.per_rps); `failstop setup`"),
+        (114.5, "and gets at most 0.2, which the setting limits.vx_mps allows"),
+        (
+            0,
+            "gets at most 0.05, because nobody has confirmed the scale of the wheels (board.per_rps); `failstop setup`",
+        ),
     ],
 )
 def test_without_a_robot_it_prints_what_a_driver_would_get(
