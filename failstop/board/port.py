@@ -36,6 +36,8 @@ CLOSE_S = 0.02
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _OTHER_SPEED = termios.B500000
 """A baud rate that no board uses."""
+_TIOCGEXCL = 0x80045440
+"""Asks if TIOCEXCL is set. Python's termios has no name for it."""
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -73,7 +75,8 @@ def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> i
 
     The board's USB chip forgets the baud rate when the USB bus is reset, for example when the computer sleeps, and the
     kernel's driver does not notice. So this function makes the driver send the rate again, unless a service has the
-    port.
+    port. If a service has the port at another rate than that of `line`, the rate stays as it is, and nothing else is
+    set up either: what is written then leaves at the service's rate.
     """
     descriptor = -1
     try:
@@ -209,15 +212,20 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
     elif alone:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
+    speed = getattr(termios, f"B{line.baud}")
+    # A service drives its board at this rate. At another one, neither its motion nor its stops would arrive.
+    theirs = not alone and before[4:6] != [speed, speed] and _is_exclusive(descriptor)
     if alone:
         # cdc_acm sends the line coding only if it differs from the one that it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
-    speed = getattr(termios, f"B{line.baud}")
-    _set_raw(descriptor, before, speed)
-    _check_raw(path, descriptor, line.baud, speed)
+    if not theirs:
+        _set_raw(descriptor, before, speed)
+        _check_raw(path, descriptor, line.baud, speed)
     # A port that was stopped would hold back every byte. TCOOFF stops a port, and so does a ^S that came while it was
     # still a terminal. This call costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
+    if theirs:
+        return
     # Opening has raised both lines. Set the lines that must be on first, because DTR off while RTS is on resets some
     # boards' processors. Then clear the others in one call, for the same reason.
     lines = ((termios.TIOCM_DTR, line.dtr), (termios.TIOCM_RTS, line.rts))
@@ -227,13 +235,22 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """Try to lock the port. Returns False if a service has the port. In this case leave the baud rate alone, because
-    another rate would garble the service's frames."""
+    """Try to lock the port. Returns False if another process has locked it: a service, or a program that uses
+    pyserial's `exclusive`."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
     return True
+
+
+def _is_exclusive(descriptor: int) -> bool:
+    """True if TIOCEXCL is set. On a port that is also locked, this shows that a service has it, because pyserial only
+    locks a port. Also True if the kernel can't tell: a rate that a service needs must stay."""
+    try:
+        return fcntl.ioctl(descriptor, _TIOCGEXCL, _ZERO) != _ZERO
+    except OSError:
+        return True
 
 
 def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:

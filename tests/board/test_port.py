@@ -319,6 +319,30 @@ def test_beside_a_service_with_the_port_no_speed_is_changed(
     os.close(service)
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root opens a port that a service has")
+def test_the_rate_of_a_service_stays_whatever_board_root_takes_its_board_for(pty: tuple[int, str]) -> None:
+    """The service's own stops would not arrive at another rate."""
+    master, path = pty
+    service = open_port(path, exclusive=True, line=RRC_PORT.at(115_200))
+    settings = termios.tcgetattr(service)
+    termios.tcflow(service, termios.TCOOFF)
+    root_s = open_port(path, exclusive=False, line=RRC_PORT)
+    assert termios.tcgetattr(service) == settings
+    os.write(root_s, b"stop")
+    assert read_exactly(master, 4) == b"stop"
+    os.close(root_s)
+    os.close(service)
+
+
+def test_beside_a_program_that_only_locks_the_port_the_rate_is_set(pty: tuple[int, str]) -> None:
+    """As pyserial's `exclusive` does. Its rate is that of whatever it takes the board for."""
+    other = open_port(pty[1], exclusive=False, line=RRC_PORT.at(115_200))
+    fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    os.close(open_port(pty[1], exclusive=False, line=RRC_PORT))
+    assert termios.tcgetattr(other)[4:6] == [termios.B1000000] * 2
+    os.close(other)
+
+
 def stuck_socket() -> tuple[int, socket.socket]:
     """A descriptor whose close waits, as a port's that does not drain: TCP with a full buffer, an hour of linger and a
     peer that does not read; and the peer."""
