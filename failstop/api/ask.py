@@ -32,9 +32,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
     """Ask a service to stop the robot, and wait at most LATCH_S until the stop is latched. Problems are returned as
     text, never raised.
 
-    Returns (result, problem, doubt). `result`: a text that says what is known: the stop is latched, or the stop was
-    written but this user can't see whether it is latched. It is empty if neither is known. `problem`: a text that says
-    what is wrong, or an empty text. `doubt`: True if the stop is latched, but the wheels may still turn.
+    Returns (result, problem, doubt). `result`: a text that says what is known: the stop is latched, or the service has
+    taken the request but this user can't see whether the stop was written. It is empty if neither is known. `problem`:
+    a text that says what is wrong, or an empty text. `doubt`: True if there is a result, but the wheels may still turn.
     """
     try:
         send_stop(name, reason, who)
@@ -50,11 +50,13 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 
 
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
-    """Wait until the stop is written and latched. Returns the same values as stop(). Raises OSError.
+    """Wait until the service has taken the request and latched the stop. Returns the same values as stop(). Raises
+    OSError.
 
-    Either of two signs shows that the stop was written. One is an empty pipe, because the port owner reads the pipe
-    only after it has written the stop. But other programs may keep writing to the pipe. So the other sign is a higher
-    epoch than at the beginning of this call.
+    Either of two signs shows that the service has taken the request. One is an empty pipe, because the port owner reads
+    the pipe just after it has tried to write the stop. But other programs may keep writing to the pipe. So the other
+    sign is a higher epoch than at the beginning of this call. Neither shows that the stop was written, because the port
+    may be gone. Only the service's state shows that.
     """
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
@@ -77,11 +79,8 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
             problem = str(error)
         time.sleep(LOOK_S)
     if taken and not reader:
-        return (
-            f"the service {name!r} has written the stop, but this user can't see whether it is latched",
-            problem,
-            False,
-        )
+        text = f"the service {name!r} has taken the request, but this user can't see whether the stop was written"
+        return text, f"{problem}; look at the wheels: if they turn, use the POWER SWITCH", True
     return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s", False
 
 

@@ -74,7 +74,7 @@ class Target:
         self.asked: list[str] = []
         """The services that were asked to stop the robot, but have not confirmed it."""
         self.unproved = False
-        """True if a service has written a stop, but there is a reason to think that the wheels still turn."""
+        """True if a service has taken a stop request, but the wheels may still turn."""
         self._at = ("", 0)
         """The port to which the stop was written, and the uid of the user whose file names it. ("", 0) before that.
         What follows, such as the stop of the arm, goes to the same port, even if devices come and go meanwhile."""

@@ -75,9 +75,21 @@ def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Si
         assert simulated.board.wait_for(lambda event: event.is_motor).is_stop
     assert latch.get() > epoch
     assert "a hand (" in simulated.said
-    code, out, err = simulated.command("estop", "even", "so")
-    assert (code, "with another layout" in err) == (0, True)
-    assert out.startswith("the service 'failstop' has written the stop, but this user can't see whether")
+    for words in (("estop", "even", "so"), ("stop", "--services")):
+        code, out, err = simulated.command(*words)
+        assert (code, "with another layout" in err, "look at the wheels" in err) == (1, True, True)
+        assert out.startswith("the service 'failstop' has taken the request, but this user can't see whether the stop")
+
+
+def test_nobody_who_cannot_read_the_state_says_that_a_stop_was_written(simulated: Simulated) -> None:
+    """The service takes the request while the cable is out, but no byte leaves."""
+    simulated.board.unplug()
+    simulated.wait_for("the loss", lambda: simulated.robot.state.device.state != "open")
+    for which in layout.PROCESS_NAMES:
+        other_layout(simulated, which)
+    code, out, err = simulated.command("stop")
+    assert (code, out.count("written"), "can't see whether the stop was written" in out) == (1, 1, True)
+    assert "use the POWER SWITCH" in err
 
 
 def test_without_its_shared_memory_a_service_can_be_stopped(simulated: Simulated) -> None:

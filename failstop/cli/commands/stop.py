@@ -90,7 +90,7 @@ def main(arguments: Namespace) -> int:
     - With --last-port, the settings name another port than the last run's, and no stop could be written there.
     - The board has not answered, although this kind of board answers. (With --end-service, this is printed, but does
       not make the result 1.)
-    - A service has written the stop, but the wheels may still turn.
+    - A service has stopped, but the wheels may still turn, or this user can't see whether the stop was written.
     - With --services, a service has not confirmed its stop.
     - --end-service was used outside of the service's systemd unit.
     """
