@@ -47,9 +47,10 @@ NO_USE = {
 class Target:
     """Chooses the port for the stop, and how long to try. The port comes from the first of these that names one: the
     option --device, the file given with --config, a running service, the last run, the installed settings file, and the
-    default. The last run does not count if the device at its port is certainly another one. With `last_first`, the last
-    run comes before the file, as long as its board is still at its port: somebody may have edited the file since the
-    service started, or the board may have come back at another port.
+    default. A running service that was started with the file comes before it, because the board may have come back at
+    another port. The last run does not count if the device at its port is certainly another one. With `last_first`, the
+    last run comes before the file, as long as its board is still at its port: somebody may have edited the file since
+    the service started, or the board may have come back at another port.
 
     The settings file is read only if it is needed. Only its settings about the stop are checked, so that a mistake in
     another setting can't prevent the stop."""
@@ -71,8 +72,12 @@ class Target:
         read, or its device.path is not a valid port, or device.path is below the wrong [table]."""
         self._known = ("", 0)
         """The port that a running service reports, and the uid of the user who runs that service."""
+        self._known_of_file = False
+        """True if that service was started with the file given with --config."""
         self.asked: list[str] = []
         """The services that were asked to stop the robot, but have not confirmed it."""
+        self.confirmed: list[str] = []
+        """The services that were asked to stop their robots, and have confirmed it."""
         self.unproved = False
         """True if a service has taken a stop request, but the wheels may still turn."""
         self._at = ("", 0)
@@ -97,6 +102,25 @@ class Target:
         none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
+    def only_file_names_port(self) -> bool:
+        """Return True if the user has named a port, but only in the file given with --config. False for systemd: its
+        commands must not stop a service that has just been started again."""
+        return bool(self.wanted()) and DEVICE not in self._given and not self._last_first
+
+    def is_file_of(self, name: str) -> bool:
+        """Return True if the newest service of this name was started with the file given with --config. Then it has the
+        board that the file describes, even if the board is at another port by now."""
+        if not self._config:
+            return False
+        import shlex  # imported only here, so that no stop waits for it
+
+        with contextlib.suppress(OSError, ValueError):
+            words = shlex.split(instance.last(name).command)
+            by_unit = words[:1] == ["sudo"]
+            its = config.installed(name) if by_unit else words[words.index("--config") + 1]
+            return os.path.samefile(its, self._config)
+        return False
+
     def of_dead_run(self) -> str | None:
         """Return the port of the last run if its board is there, and "" if not. None if the last run does not come
         first, because there was none, or this command is not for systemd, or the user has named a port."""
@@ -104,10 +128,11 @@ class Target:
             return None
         return self._last.device if self._is_at_last_port() else ""
 
-    def learn(self, device: str, owner: int | None) -> None:
-        """Remember the port of a running service. `owner`: the uid of the user who runs that service."""
+    def learn(self, name: str, device: str, owner: int | None) -> None:
+        """Remember the port of the running service `name`. `owner`: the uid of the user who runs that service."""
         if device and owner is not None and not self._known[0]:
             self._known = device, owner
+            self._known_of_file = self.only_file_names_port() and self.is_file_of(name)
 
     def device(self) -> str:
         """Return the port to write to."""
@@ -118,14 +143,15 @@ class Target:
         option or the default."""
         if self._at[0]:
             return self._at
-        if named := self._given.get(DEVICE):
-            return str(named), 0
+        if given := self._given.get(DEVICE):
+            return str(given), 0
         last = self._last.device, self._last.owner
         at_last = self._is_at_last_port()
         if at_last and self._last_first:
             return last
         # For systemd, the settings' port is where the service starts next, also if that is the default.
-        if self._config and (DEVICE in self._file or (self._last_first and not self._unknown)):
+        named = self._config and (DEVICE in self._file or (self._last_first and not self._unknown))
+        if named and not self._known_of_file:
             return self._guess()
         if self._known[0]:
             return self._known

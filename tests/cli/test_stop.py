@@ -92,6 +92,66 @@ def test_for_systemd_only_the_service_that_has_the_dead_run_s_board_is_asked(
     assert (outcome, asked) == ((0, ["left"]) if asks and there else ("", []))
 
 
+@pytest.mark.parametrize(
+    ("name", "started_with", "its", "asked", "outcome"),
+    [
+        ("right", "its.toml", "/dev/ttyACM1", ["right"], 0),
+        ("right", "another.toml", "/dev/ttyACM0", ["right"], 0),
+        ("right", "another.toml", "/dev/ttyACM1", ["right"], ""),
+        ("left", "its.toml", "/dev/ttyACM1", ["left"], 0),
+        ("left", "another.toml", "/dev/ttyACM1", [], ""),
+    ],
+    ids=["its file", "its port", "neither", "another service of the file", "a stranger"],
+)
+@pytest.mark.parametrize("doubt", [False, True])
+def test_a_file_says_which_robot_is_meant_wherever_its_board_is(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    name: str,
+    started_with: str,
+    its: str,
+    asked: list[str],
+    outcome: int | str,
+    doubt: bool,
+) -> None:
+    """The service `right` is meant, and only `name` runs. If the port in the file may be another robot's, the stop goes
+    there too."""
+    for file in ("its.toml", "another.toml"):
+        (tmp_path / file).write_text('device.path = "/dev/ttyACM0"\n')
+    target = Target(Namespace(device=None, wait=None, name="right", config=str(tmp_path / "its.toml")))
+    runs = f"failstop run --name {name} --config {tmp_path / started_with} --device {its}"
+    monkeypatch.setattr(instance, "last", lambda of: instance.Last(its, runs if of == name else ""))
+    monkeypatch.setattr(instances, "listens", lambda of: of == name)
+    monkeypatch.setattr(instances, "listening", lambda: [name])
+    monkeypatch.setattr(ask, "port_of", lambda _: its)
+    were: list[str] = []
+
+    def answer(of: str, *_: str) -> tuple[str, str, bool]:
+        were.append(of)
+        return DOUBTED if doubt else STOPPED
+
+    monkeypatch.setattr(ask, "stop", answer)
+    found = stop._ask_services(stop.Order("right", "", "failstop stop", target))
+    assert (found, were) == (int(doubt) if outcome == 0 else outcome, asked)
+    assert target.unproved == (doubt and bool(asked)), "the exit code counts it, whatever is written after it"
+
+
+def test_a_service_of_the_file_that_does_not_answer_is_written_past_at_its_own_port(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "its.toml"
+    file.write_text('device.path = "/dev/ttyACM0"\n')
+    target = Target(Namespace(device=None, wait=None, name="right", config=str(file)))
+    monkeypatch.setattr(instance, "last", lambda _: instance.Last("/dev/ttyACM1", f"failstop run --config {file}"))
+    monkeypatch.setattr(instances, "listens", lambda _: True)
+    monkeypatch.setattr(instances, "listening", lambda: ["right"])
+    monkeypatch.setattr(ask, "port_of", lambda _: "/dev/ttyACM1")
+    monkeypatch.setattr(ask, "owner_of", lambda _: 0)
+    monkeypatch.setattr(ask, "stop", lambda *_: SILENT)
+    assert stop._ask_services(stop.Order("right", "", "failstop stop", target)) == SILENT[1]
+    assert target.device() == "/dev/ttyACM1"
+
+
 FORKS = os.SCHED_RESET_ON_FORK
 
 

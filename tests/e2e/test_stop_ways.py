@@ -63,15 +63,34 @@ def test_the_port_s_own_service_is_asked_whatever_it_is_called(trial: Trial) -> 
 def test_a_service_at_another_port_swallows_nothing(
     trial: Trial, port: tuple[str, int], how: str, tmp_path: Path
 ) -> None:
+    """Only --device says that another robot is meant. By a file, the service may be the one that is meant, with its
+    board at another port than the file says."""
     link, master = port
     (tmp_path / "other.toml").write_text(f'device.path = "{link}"\n')
     words = ["--device", link] if how == "option" else ["--config", str(tmp_path / "other.toml")]
     result = failstop("stop", "--name", trial.name, *words)
-    sent = f"stop frame for {BOARD.name} sent (after 0.0 s), directly to {link}; no settings name another board\n"
-    assert result.stdout == sent
+    asked, _, sent = result.stdout.rpartition("stop frame")
+    assert sent == f" for {BOARD.name} sent (after 0.0 s), directly to {link}; no settings name another board\n"
     assert (result.returncode, f"nothing at {link} answers" in result.stderr) == (1, True)
     assert written(master).startswith(BURST)
-    assert trial.robot.state.estop is None
+    assert f"by the service '{trial.name}'" in asked if how == "file" else not asked
+    assert (trial.robot.state.estop is None) == (how == "option")
+
+
+def test_a_service_whose_board_left_the_port_in_its_file_is_stopped_by_that_file(
+    name: str, port: tuple[str, int], tmp_path: Path
+) -> None:
+    """The port in the file may be another device's by now, so nothing is written there."""
+    link, master = port
+    file = tmp_path / "its.toml"
+    file.write_text(f'device.path = "{link}"\n')
+    with Trial(name, ("--config", str(file)), imu_hz=IMU_HZ) as trial:
+        result = failstop("stop", "--name", name, "--config", str(file))
+        assert (result.returncode, result.stderr) == (0, "")
+        assert f"by the service '{name}'" in result.stdout
+        assert f"its board is at {trial.link}, not at {link} as the file given with --config says" in result.stdout
+        assert (trial.robot.state.estop or "").startswith("stop request")
+    assert written(master) == b""
 
 
 def no_admin() -> None:

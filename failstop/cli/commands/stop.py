@@ -130,42 +130,71 @@ NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask the service `order.name` to stop the robot. If the user has named a port, or if no service of that name is
-    running, ask every service that may use the port instead."""
+    """Ask the service `order.name` to stop the robot. If no service of that name is running, ask every service that may
+    use the port instead.
+
+    With --device, ask only the services at that port. If only the file given with --config names a port, still ask the
+    service `order.name`, because its board may be at another port than the file says. Then go on to the port in the
+    file, unless this service has that port or was started with that file.
+    """
     try:
-        device = order.target.wanted()
-        if (last := order.target.of_dead_run()) is not None:
+        target, why_not = order.target, ""
+        device = target.wanted()
+        if (last := target.of_dead_run()) is not None:
             # The settings' port may be another robot's by now. Its service can't stop this robot.
             if not last:
                 return ""
             device = last
-        if not device and instances.listens(order.name):
-            return _ask(order, [order.name], "")
-        running = instances.listening()
-        return _ask(order, running, device or order.target.device()) if running else ""
+        first = order.name if not device or target.only_file_names_port() else ""
+        if first and instances.listens(first):
+            outcome = _ask(order, [first], "")
+            if not device or (isinstance(outcome, int) and _has_the_robot(target, first, device)):
+                return outcome
+            why_not = "" if isinstance(outcome, int) else outcome
+        running = [name for name in instances.listening() if name not in (*target.asked, *target.confirmed)]
+        outcome = _ask(order, running, device or target.device()) if running else ""
+        return outcome if isinstance(outcome, int) else "; ".join(filter(None, (why_not, outcome)))
     except Exception as error:  # whatever has failed, the stop can still be written to the port
         return f"no service could be asked ({error})"
 
 
+def _has_the_robot(target: Target, name: str, device: str) -> bool:
+    """Return True if the robot that the user meant is the one of this service, which has just stopped it. `device`: the
+    port in the file that the user has named."""
+    from failstop.api import ask
+
+    its = ask.port_of(name)
+    if its and ask.same(its, device):
+        return True
+    if not target.is_file_of(name):
+        return False
+    if its:
+        standard.print_line(f"its board is at {its}, not at {device} as the file given with --config says")
+    return True
+
+
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
     """Ask these services one after the other, until one has stopped the robot. If `device` is not empty, skip services
-    that use a different port."""
+    that use a different port, unless only a file names the port and the service was started with that file."""
     # Imported only here. If no service is running, the stop must not wait for these imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
 
     target, why_not = order.target, []
+    by_file = target.only_file_names_port()
     for name in names:
         its = ask.port_of(name) if device else ""
         if device and not its and name == order.name:
             with contextlib.suppress(FailstopError):
                 # This service may hold the port. If it doesn't, one stop too many does no harm.
                 send_stop(name, order.reason, order.who)
-        elif device and not (its and ask.same(its, device)):
+        elif device and not (its and ask.same(its, device)) and not (by_file and target.is_file_of(name)):
             continue
         else:
-            done, problem, target.unproved = ask.stop(name, order.reason, order.who)
+            done, problem, doubt = ask.stop(name, order.reason, order.who)
             if done:
+                target.confirmed.append(name)
+                target.unproved |= doubt
                 standard.print_line(done)
                 if problem:
                     standard.say(problem)
@@ -174,7 +203,7 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
                 target.complain()
                 return int(target.unproved or doubtful)
             why_not.append(problem)
-            target.learn(ask.port_of(name), ask.owner_of(name))
+            target.learn(name, ask.port_of(name), ask.owner_of(name))
         target.asked.append(name)
     return "; ".join(filter(None, why_not))
 
@@ -197,7 +226,7 @@ def _write_to_port(order: Order) -> Outcome:
     except PortError as error:
         return target.explained(error)
     if by_service:
-        return by_service[0]
+        return int(by_service[0] or target.unproved)
     why = "" if target.asked or target.wanted() else f" (no service {order.name!r} runs)"
     # The bytes are for this kind of board. Another board would ignore them, so the text says which board they are for.
     whose, unless = (
@@ -208,7 +237,7 @@ def _write_to_port(order: Order) -> Outcome:
     unheard, bypassed = target.unheard(patient=True), target.bypassed()
     doubtful = target.doubtful()
     missed = target.missed()  # if True, systemd starts failstop-late again, which goes on trying
-    return int(doubtful or unheard or bypassed or missed)
+    return int(doubtful or unheard or bypassed or missed or target.unproved)
 
 
 ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
@@ -218,15 +247,16 @@ ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_por
 def _ask_late_service(order: Order) -> list[int]:
     """Ask the service `order.name` to stop the robot, but only once, and only if it was started after the first
     attempt. Returns a list with the exit code if the service has stopped the robot, else an empty list."""
-    if order.name in order.target.asked or not instances.listens(order.name):
+    target = order.target
+    if order.name in (*target.asked, *target.confirmed) or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
     if isinstance(outcome, int):
         return [outcome]
     if outcome:
         standard.say(f"{outcome}{NEXT}")
-    if order.name not in order.target.asked:
-        order.target.asked.append(order.name)
+    if order.name not in target.asked:
+        target.asked.append(order.name)
     return []
 
 
