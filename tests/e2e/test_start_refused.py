@@ -13,15 +13,20 @@ import shutil
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 
+from failstop import instances
+from failstop.board import finder, kept
+from failstop.board.interface import Board
+from failstop.board.kinds import board_of
 from failstop.board.port import open_port
-from failstop.board.rrc.board import RRC_PORT
-from failstop.board.rrc.codec import motor_speeds
+from failstop.board.rrc.board import BOARD
+from failstop.cli.commands import run
 from failstop.files import instance, root
 from failstop.messages import layout
 from failstop.procs.rights import DESCRIPTORS
@@ -69,8 +74,12 @@ def board(one_board: SimBoard) -> SimBoard:
 
 def turn(board: SimBoard) -> None:
     """Give the wheels a speed, and leave."""
-    port = open_port(board.link, exclusive=False, line=RRC_PORT)
-    os.write(port, motor_speeds((1.0, 1.0, 1.0, 1.0), 2.0))
+    turn_at(board, BOARD, 4)
+
+
+def turn_at(board: SimBoard, own: Board, motors: int) -> None:
+    port = open_port(board.link, exclusive=False, line=own.port)
+    os.write(port, own.motor_speeds((1.0,) * motors, 2.0))
     board.wait_wheels(turning=True, timeout_s=5.0)
     os.close(port)
     board.events()
@@ -193,6 +202,70 @@ def test_with_settings_that_cannot_be_read_the_stop_is_that_of_the_last_run_s_bo
         assert not trial.turning()
 
 
+@pytest.fixture(scope="module")
+def arduino(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
+    with SimBoard(tmp_path_factory.mktemp("refused") / "arduino", board="arduino") as made:
+        yield made
+
+
+LAST_RUN_S = "the stop of the last run's board is written to {}"
+BOARD_WRONG = {
+    "a kind that does not exist": 'device.path = "{}"\nboard.kind = "ardiuno"\n',
+    "a baud rate that is a text": 'device.path = "{}"\nboard.kind = "arduino"\nboard.baud = "57600"\n',
+    "a CAN id that is a text": 'device.path = "{}"\nboard.kind = "vesc"\nboard.can_id = "one"\n',
+    "a kind below another table": 'device.path = "{}"\n[device]\nboard.kind = "arduino"\n',
+    "a port below another table": '[board]\nkind = "arduino"\ndevice.path = "{}"\n',
+    "a folder that does not exist": 'device.path = "{}"\nboard.kind = "/nowhere/tank"\n',
+}
+
+
+@pytest.mark.claim("START-1")
+@pytest.mark.parametrize("wrong", BOARD_WRONG)
+def test_a_board_that_is_named_wrong_gets_the_stop_of_the_last_run_at_its_port(
+    name: str, arduino: SimBoard, tmp_path: Path, wrong: str
+) -> None:
+    """Another board's bytes would mean nothing to it, and nobody would be warned."""
+    own = board_of("arduino", 0.08, 0.0)
+    last = instance.Last(arduino.link, "failstop run", (), "arduino", kept.pack_stop(own))
+    instance.remember(instances.make_runtime_dir(name), last)
+    turn_at(arduino, own, 2)
+    file = tmp_path / "failstop.toml"
+    file.write_text(BOARD_WRONG[wrong].format(arduino.link))
+    assert LAST_RUN_S.format(arduino.link) in refused(arduino, *FAILSTOP, "run", "--name", name, "--config", str(file))
+
+
+@pytest.mark.parametrize(("kind", "baud"), [("rcr", "0"), ("rrc", '"1"')], ids=["kind", "baud rate"])
+def test_a_board_that_is_named_wrong_at_a_new_port_is_told_with_the_stop(
+    name: str, board: SimBoard, tmp_path: Path, kind: str, baud: str
+) -> None:
+    last = instance.Last("/dev/ttyUSB7", "failstop run", (), "arduino", kept.pack_stop(board_of("arduino", 0.08, 0.0)))
+    instance.remember(instances.make_runtime_dir(name), last)
+    file = tmp_path / "failstop.toml"
+    file.write_text(f'device.path = "{board.link}"\nboard.kind = "{kind}"\nboard.baud = {baud}\n')
+    said = refused(board, *FAILSTOP, "run", "--name", name, "--config", str(file))
+    assert NOBODY_KNOWS.format(board.link) in said
+
+
+@pytest.mark.parametrize("text", ["nonsense", 'device.path = 7\nboard.kind = "arduino"\n'], ids=["no TOML", "no port"])
+def test_another_device_at_the_port_of_the_last_run_gets_no_bytes(
+    name: str, board: SimBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    """A lidar, for example, has taken the number of a board that is unplugged."""
+    file = tmp_path / "failstop.toml"
+    file.write_text(text)
+    stop = kept.pack_stop(board_of("arduino", 0.08, 0.0))
+    last = instance.Last(board.link, "failstop run", (), "arduino", stop, usb="2341|0043|A1|1.0|1-1")
+    instance.remember(instances.make_runtime_dir(name), last)
+    options = Namespace(name=name, config=str(file), device=None)
+    first: list[str] = []
+    for now in (last.usb, "10c4|ea60|0001|1.0|1-2"):
+        monkeypatch.setattr(finder, "usb_text", lambda _, now=now: now)
+        device, _, _, _, guessed = run._device(options)
+        first.append(device)
+        assert guessed == (device != board.link), "a port that nobody has named is looked at before it is opened"
+    assert first == [board.link, "/dev/ttyACM0"]
+
+
 def test_the_device_is_taken_from_settings_that_are_refused(name: str, board: SimBoard, tmp_path: Path) -> None:
     file = tmp_path / "failstop.toml"
     file.write_text(f'[device]\npath = "{board.link}"\n[gate]\nlease_s = 9.0\n')
@@ -272,7 +345,7 @@ def test_the_service_needs_no_more_descriptors_than_it_asks_for(fresh: Trial) ->
         (8, "status", 1, LACKING.format(8)),
         *((files, "enable", 1, LACKING.format(files)) for files in range(8, 14)),
         (40, "demo", 1, f"the service ended: {LACKING.format(40)}"),
-        (8, "estop", 0, ""),
+        (8, "estop", 1, "look at the wheels"),  # it can't see whether the stop was written
     ],
 )
 def test_too_few_descriptors_are_one_line_and_enough_for_a_stop(

@@ -22,6 +22,10 @@ from failstop.procs import rights
 from failstop.supervisor import starter
 from failstop.supervisor.port_handover import OwnPort
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
 DEVICE, KIND, BAUD, CAN_ID = "device.path", "board.kind", "board.baud", "board.can_id"
 OF_SETTINGS = "the stop is written to {}"
 OF_LAST_RUN = "the stop of the last run's board is written to {}"
@@ -47,10 +51,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Write a stop to the port, then become the supervisor. Raises errors that main.py prints as one line."""
-    device, board, read, of = _device(arguments)
+    device, board, read, of, guessed = _device(arguments)
     port, lost = None, None
     try:
-        if not (arguments.device or {DEVICE, KIND} & {*(read or {})} or of == OF_LAST_RUN):
+        if guessed:
             finder.refuse_stranger(device, board)
         port = OwnPort.open_and_stop(device, board, lambda: instances.refuse_locked(arguments.name))
     except PortError as error:
@@ -70,33 +74,72 @@ def main(arguments: Namespace) -> int:
     raise FailstopError(f"{lost}{'; `failstop doctor --quick` lists the ports that are there' if absent else ''}")
 
 
-def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
+def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str, bool]:
     """Choose the port and the board for the first stop. Both come from the settings file, even if other settings in it
-    are wrong. If the file can't be read, they come from the last run, or else from the defaults. The option --device
-    replaces the port.
+    are wrong. If the file can't be read, or what it says about the board is wrong, they come from the last run, or else
+    from the defaults. The option --device replaces the port.
 
-    Returns four values: the port, the board, the unchecked settings in the file (None if they can't be read), and a
-    text about the port that is printed if the service can't start. Raises FailstopError.
+    Returns five values: the port, the board, the unchecked settings in the file (None if they can't be read), a text
+    about the port that is printed if the service can't start, and True if nothing has named the port or the kind of
+    board. Raises FailstopError.
     """
-    if (read := _read(arguments.config)) is None:
-        from failstop.board import kept  # imported only here, so that the first stop does not wait for it
-
-        last = instance.last(arguments.name)
-        # These are stored bytes of a stop, not a program, and this user or root has written them.
-        if last.owner in (0, os.geteuid()) and (known := kept.unpack_stop(last.stop)):
-            return arguments.device or last.device, known, None, OF_LAST_RUN
-        read = _read(arguments.config)  # try again, because the file may be readable now
-    found = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}
-    for key in found:
-        with contextlib.suppress(SettingError):
-            found[key] = BY_KEY[key].check((read or {}).get(key, found[key]))
+    read, found, wrong = _checked(arguments)
+    if wrong and (last := _of_last_run(arguments, found, wrong)):
+        return *last, read, OF_LAST_RUN, False
+    if read is None:
+        read, found, wrong = _checked(arguments)  # try again, because the file may be readable now
     try:
         board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
     except ValueError as error:
+        if last := _of_last_run(arguments, found, wrong):
+            return *last, read, OF_LAST_RUN, False
         advice = "if a wheel turns, try `failstop stop`, or use the POWER SWITCH"
         raise FailstopError(f"{error}; no stop was written: {advice}") from None
-    of = OF_SETTINGS if read is not None else f"the stop of {board.name} is written to {OF_ANOTHER}"
-    return arguments.device or str(found[DEVICE]), board, read, of
+    of = f"the stop of {board.name} is written to {OF_ANOTHER}" if wrong else OF_SETTINGS
+    named = arguments.device or (DEVICE not in wrong and ({DEVICE, KIND} - wrong) & {*(read or {})})
+    return arguments.device or str(found[DEVICE]), board, read, of, not named
+
+
+def _checked(arguments: Namespace) -> tuple[dict[str, object] | None, dict[str, Any], set[str]]:
+    """Return three values: the unchecked settings in the file, or None if they can't be read; what they say about the
+    port and the board, or else the defaults; and which of these settings are wrong or below the wrong [table]. All are
+    wrong if the file can't be read. A wrong port does not count if --device replaces it."""
+    read = _read(arguments.config)
+    keys = (DEVICE, KIND, BAUD, CAN_ID)
+    found = {key: BY_KEY[key].default for key in keys}
+    if read is None:
+        return read, found, set(keys)
+    wrong = {key for key in keys if any(other.endswith(f".{key}") for other in read)}
+    for key in keys:
+        try:
+            found[key] = BY_KEY[key].check(read.get(key, found[key]))
+        except SettingError:
+            wrong.add(key)
+    return read, found, wrong - ({DEVICE} if arguments.device else set())
+
+
+def _of_last_run(arguments: Namespace, found: dict[str, Any], wrong: set[str]) -> tuple[str, Board] | None:
+    """Return the port and the stop of the last run. None if another port is named, if another device is at the port by
+    now, or if nobody knows that stop. `found`, `wrong`: as from _checked().
+
+    If the file can't be read, a port that is named with --device gets this stop too, because no other board is more
+    likely there."""
+    from failstop.board import kept  # imported only here, so that the first stop does not wait for it
+
+    last = instance.last(arguments.name)
+    # These are stored bytes of a stop, not a program, and this user or root has written them.
+    if last.owner not in (0, os.geteuid()) or not (known := kept.unpack_stop(last.stop)):
+        return None
+    named = arguments.device or ("" if DEVICE in wrong else str(found[DEVICE]))
+    try:
+        its = os.stat(last.device)
+        same = not named or os.path.samestat(os.stat(named), its)
+        still = finder.is_still(finder.usb_text(its.st_rdev), last.usb) is not False
+    except OSError:
+        same = still = not named or os.path.abspath(named) == last.device
+    if (same and still) or (arguments.device and DEVICE in wrong):
+        return named or last.device, known
+    return None
 
 
 def _read(path: str | None) -> dict[str, object] | None:
@@ -115,7 +158,10 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
-    fit.checked_board(settings, arguments.config)
+    try:
+        fit.checked_board(settings, arguments.config)
+    except ValueError as error:  # an OwnBoardError: the first stop was the one of the last run
+        raise FailstopError(str(error)) from None
     instance.check_name(arguments.name)
     if port is None:
         return
