@@ -177,20 +177,22 @@ class Target:
         """Return the board at the port. Its kind comes from the last run if that run used this port, else from the
         settings file, else from the default. Raises FailstopError if the board can't be made.
 
-        If the last run has saved the stop bytes for this kind of board, these bytes are used until a stop is written.
-        There are two reasons: the user's own Python code for a board must not run before a stop is written, and the
-        settings may have changed since the last run.
+        If the last run used this port and has saved its stop bytes, these bytes are used until a stop is written,
+        because the settings may have changed since the last run. For your own board they are used at any port: the
+        user's own Python code for a board must not run before a stop is written. At another port, the settings of any
+        other kind of board count, because two boards of one kind may have different motors.
         """
         kind = self._named_kind() or str(DEFAULTS[KIND])
-        known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
+        kept_one = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
+        known = kept_one if is_own(kind) or self._is_the_last_s() else None
         if known and is_own(kind) and not self._stopped:
             return known
         baud = known.port.baud if known and self._is_the_last_s() else int(self._file.get(BAUD, DEFAULTS[BAUD]))
         try:
             made = board_of(kind, 1.0, 0.0, baud=baud, can_id=int(self._file.get(CAN_ID, DEFAULTS[CAN_ID])))
         except ValueError as error:
-            if known:
-                return known
+            if kept_one:
+                return kept_one
             raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
         # Use the stop of the last run if it differs, because the settings may name another motor since.
         return known if known and not self._stopped and known.burst != made.burst else made

@@ -12,8 +12,11 @@ from subprocess import PIPE
 
 import pytest
 
-from failstop import instances
+from failstop import instances, stop_tool
 from failstop.api import ask
+from failstop.board import kept
+from failstop.board.interface import Board
+from failstop.board.kinds import board_of
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.cli.target import DEVICE, Target
@@ -150,6 +153,54 @@ def test_a_service_of_the_file_that_does_not_answer_is_written_past_at_its_own_p
     monkeypatch.setattr(ask, "stop", lambda *_: SILENT)
     assert stop._ask_services(stop.Order("right", "", "failstop stop", target)) == SILENT[1]
     assert target.device() == "/dev/ttyACM1"
+
+
+@pytest.mark.parametrize(
+    ("port", "there", "its"),
+    [
+        ("/dev/left", True, "left"),
+        ("/dev/left", None, "left"),
+        ("/dev/left", False, "right"),
+        ("/dev/right", True, "right"),
+    ],
+    ids=["its port", "its port, perhaps", "another device at its port", "another port"],
+)
+def test_the_kept_stop_is_for_the_board_of_the_last_run_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, port: str, there: bool | None, its: str
+) -> None:
+    """Two boards of one kind may have different motors."""
+    left, right = (board_of("vesc", 1.0, 0.0, can_id=number) for number in (20, 10))
+    file = tmp_path / "right.toml"
+    file.write_text(f'device.path = "{port}"\nboard.kind = "vesc"\nboard.can_id = 10\n')
+    monkeypatch.setattr(Target, "_last", instance.Last("/dev/left", "", (), "vesc", kept.pack_stop(left)))
+    monkeypatch.setattr(Target, "_is_at_last_port", lambda _: there)
+    target = Target(Namespace(device=None, wait=None, name="failstop", config=str(file)))
+    assert target.device() == port
+    assert left.burst != right.burst
+    assert target.board().burst == (left if its == "left" else right).burst
+
+
+def test_the_stop_at_the_settings_port_is_for_the_settings_board(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With --last-port, after the one at the port of the last run."""
+    left, right = (board_of("vesc", 1.0, 0.0, can_id=number) for number in (20, 10))
+    file = tmp_path / "right.toml"
+    file.write_text('device.path = "/dev/right"\nboard.kind = "vesc"\nboard.can_id = 10\n')
+    monkeypatch.setattr(Target, "_last", instance.Last("/dev/left", "", (), "vesc", kept.pack_stop(left)))
+    monkeypatch.setattr(Target, "_is_at_last_port", lambda _: True)
+    monkeypatch.setattr(Target, "_is_usable", lambda _: False)
+    wrote: list[tuple[str, bytes]] = []
+
+    def write(path: str, board: Board, *_: object, **__: object) -> bool:
+        wrote.append((path, board.burst))
+        return False
+
+    monkeypatch.setattr(stop_tool, "write", write)
+    target = Target(Namespace(device=None, wait=None, name="failstop", config=str(file)), last_first=True)
+    target.stop()
+    assert target.missed() is False
+    assert wrote == [("/dev/left", left.burst), ("/dev/right", right.burst)]
 
 
 FORKS = os.SCHED_RESET_ON_FORK
