@@ -115,7 +115,8 @@ def known_better(segments: Segments, latched: Cause) -> Cause:
 def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     """Who wrote the first complete stop burst since the cause, the port owner or the stopper: `written_by`, and
     `written_us` after the cause. Empty if neither wrote one."""
-    written = {segments[layout.STOPPER]["words"]["written_ns"]: "stopper"}
+    by_stopper = segments[layout.STOPPER]["words"]["written_ns"]
+    written = {by_stopper: "stopper"} if by_stopper else {}  # 0: it has written none
     for _, ns, payload in segments[layout.PORT_OWNER]["rings"]["box"]:
         kind, length, taken, _ = box.WIRE.unpack(payload)
         if kind == box.WIRE_BURST and taken == length:

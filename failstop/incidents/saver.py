@@ -78,8 +78,10 @@ def save(words: dict[str, str]) -> dict[str, Any]:
     or before). Returns an empty map if a dead run was never ready. Raises OSError, AttachError, IncidentError."""
     name, live = words["name"], "cause_ns" in words
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
-    if not live and memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state") == BEAT_STARTING:
-        # This run was never ready. The journal says why, and a service that can't start must not fill the folder.
+    state = memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state")
+    if not live and state in (0, BEAT_STARTING):
+        # This run was never ready. The state is 0 if it was killed before its first heartbeat. The journal says why,
+        # and a service that can't start must not fill the folder.
         return {}
     folder = os.path.join(state_directory(name, os.environ), files.FOLDER)
     # Take the number before waiting. Otherwise a later stop that waits less could get the smaller number.

@@ -155,6 +155,7 @@ def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
     found = copied(name)
     assert memory.left_cause(found) == (1_050_000_000, 3, causes.ALL_DIED())
     assert memory.left_stop(found, 1_050_000_000) == {}
+    assert memory.left_stop(found, 0) == {}, "a stopper that wrote none has 0 as its time"
 
 
 DIED = causes.DIED("gate")

@@ -157,9 +157,10 @@ def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> No
 
 
 def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Saving) -> None:
-    saving.supervisor.word("beat_state").set(BEAT_STARTING)
-    assert saving.save() == {}
-    assert not saving.state.exists()
+    for state in (0, BEAT_STARTING):
+        saving.supervisor.word("beat_state").set(state)
+        assert saving.save() == {}
+        assert not saving.state.exists()
     saving.supervisor.word("beat_state").set(BEAT_RUNNING)
     assert saving.save()["run"] == "before"
     assert saving.newest().reason == "the whole service died"
