@@ -22,6 +22,9 @@ PATH_VARIABLE = "FAILSTOP_PATH"
 
 def main(argv: list[str]) -> int:
     """Run the process that `argv` names, until the process ends. Returns its exit code."""
+    # End at once, as from any other signal. The supervisor handles SIGINT as soon as it starts processes. Before that,
+    # the board has already got its stop, and nobody can drive.
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
     sys.path[:] = os.environ[PATH_VARIABLE].split(os.pathsep)
     words = dict(word.split("=", 1) for word in argv[2:])
     try:
@@ -32,7 +35,6 @@ def main(argv: list[str]) -> int:
         from failstop.policy.processes import PROCESS_BY_NAME
         from failstop.procs.context import Context
 
-        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # end at once, as from any other signal
         row = PROCESS_BY_NAME[argv[1]]
         context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
         code: int = __import__(row.module, fromlist=["run"]).run(context)

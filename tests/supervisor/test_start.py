@@ -30,18 +30,23 @@ LONG_NS = 10_000 * MS
 
 
 def run(scene: Scene, name: str, program: Any) -> Process:
-    """The supervisor starts a process, with this program in the place of its own."""
+    """The supervisor starts a process, with this program in the place of its own. As another supervisor, it is started
+    in the place of the gate."""
     main = scene.load("failstop.supervisor.bootstrap").main
-    scene.load(PROCESS_BY_NAME[name].module).run = program
+    if name == layout.SUPERVISOR:
+        scene.load("failstop.supervisor.entry").start = program
+    else:
+        scene.load(PROCESS_BY_NAME[name].module).run = program
 
     def child(process: Process, argv: list[str]) -> int:
         process.handlers[signal.SIGINT] = lambda *_: None  # Python's own: an error, later
         process.environ["FAILSTOP_PATH"] = "/a folder:/b"
-        code: int = main([*argv, "dir=/run/a=b"])
+        code: int = main([argv[0], name, *argv[2:], "dir=/run/a=b"])
         return code
 
     scene.machine.programs["bootstrap.py"] = child
-    scene.supervisor.processes.start(scene.supervisor.processes[name])
+    started = layout.GATE if name == layout.SUPERVISOR else name
+    scene.supervisor.processes.start(scene.supervisor.processes[started])
     return scene.born[-1]
 
 
@@ -61,8 +66,10 @@ def test_a_process_runs_its_program_with_what_it_was_given(scene: Scene, name: s
     assert process.code == 7
 
 
-def test_an_interrupt_ends_a_process_at_once(scene: Scene) -> None:
-    process = run(scene, layout.GATE, lambda context: scene.machine.block())
+@pytest.mark.parametrize("name", [layout.GATE, layout.SUPERVISOR])
+def test_an_interrupt_ends_a_process_at_once(scene: Scene, name: str) -> None:
+    """The supervisor too, until it starts the others: Ctrl-C right after `failstop run` is no error to be printed."""
+    process = run(scene, name, lambda _: scene.machine.block())
     scene.machine.run(lambda: process.threads[0].waiting, LONG_NS)
     scene.machine.kill(process, signal.SIGINT)
     assert process.dead
