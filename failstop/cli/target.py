@@ -288,6 +288,8 @@ class Target:
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
                 standard.say(self.explained(error))
+            elif error.kind == "absent" and (others := self._other_services()):
+                standard.say(others)  # at once, because its robot may be the one that drives
             found = {**DEFAULTS, **self._file, **self._given}[WAIT]
             self.complain()
             least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
@@ -472,10 +474,12 @@ class Target:
         """Return the reason why no stop was written, and what to do. The text names the process that holds the port, if
         that process can be found."""
         device, owner = self._chosen()
-        if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
-            other = self._guess()[0]
-            neither = f"no stop could be written to {other}" if os.path.exists(other) else f"{other} does not exist"
-            return f"{error} (the last run used it; {neither} either); {MAY_TURN}"
+        if error.kind == "absent":
+            others, either = self._other_services(), ""
+            if self._is_last() and (other := self._guess()[0]) != self._last.device:
+                neither = f"no stop could be written to {other}" if os.path.exists(other) else f"{other} does not exist"
+                either = f" (the last run used it; {neither} either)"
+            return f"{error}{either}; {MAY_TURN}{f'; {others}' if others else ''}"
         if self.is_not_theirs(error):
             what = "is not a serial port" if error.kind == "not-a-tty" else "that user may not open it"
             named = f"a file of {place.user(owner)} names {device}, but {what}"
@@ -489,6 +493,15 @@ class Target:
         if os.geteuid():
             ways.append(f"`sudo failstop stop --device {device}`, which writes anyway")
         return f"{device} is held exclusively by {by}{asked}: {', or '.join(['use the POWER SWITCH', *ways])}"
+
+    def _other_services(self) -> str:
+        """Return a clause with the commands that stop the robots of the running services that were not asked. Empty if
+        there are none, if the user has named a port, or for systemd, where nobody types a command."""
+        if self._last_first or self.wanted():
+            return ""
+        names = [name for name in instances.listening() if name not in (*self.asked, *self.confirmed)]
+        ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
+        return f"a service with another port is running; to stop its robot: {ways}" if ways else ""
 
 
 def _refuse_stranger(device: str, board: Board) -> None:

@@ -93,6 +93,26 @@ def test_a_service_whose_board_left_the_port_in_its_file_is_stopped_by_that_file
     assert written(master) == b""
 
 
+def test_where_the_port_is_absent_the_service_that_runs_is_named(trial: Trial, tmp_path: Path) -> None:
+    """At once, and not only when the wait is over: its robot may be the one that drives."""
+    way = f"`failstop stop --name {trial.name}`"
+    words = ["stop", "--name", f"{trial.name}-2", "--wait", "0"]
+    settings = Path(config.installed(f"{trial.name}-2"))
+    settings.parent.mkdir(parents=True, exist_ok=True)
+    settings.write_text(f'device.path = "{tmp_path / "gone"}"\n')
+    try:
+        first, last = failstop(*words).stderr.splitlines()
+        named = failstop(*words, "--device", str(tmp_path / "gone")).stderr
+    finally:
+        settings.unlink()
+    assert first.startswith("failstop: a service with another port is running; to stop its robot: `failstop stop ")
+    assert last.startswith(f"failstop: no device {tmp_path / 'gone'}")
+    assert way in first
+    assert way in last
+    assert trial.name not in named, "the user knows which robot"
+    assert trial.robot.state.estop is None
+
+
 def no_admin() -> None:
     """Give up, in the child, root's way past an exclusive port, and keep the sight of others' descriptors."""
     ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_ADMIN, 0, 0, 0)
