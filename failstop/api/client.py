@@ -91,7 +91,7 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
             _say_more(os.dup(fd), why, asks)
     except OSError as error:
         path = instance.stop_path(directory)
-        raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
+        raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use {host.stop(name)}") from None
     finally:
         os.close(fd)
 

@@ -6,13 +6,11 @@ import os
 
 from failstop.files import instance, root
 from failstop.instances import unit_of
-from failstop.policy.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
 """This folder exists if the computer was booted with systemd (sd_booted(3))."""
 FOLDERS = ("/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system")
 """The folders in which systemd looks for units (systemd.unit(5))."""
-DEVICE = str(BY_KEY["device.path"].default)
 
 
 def unit(name: str) -> str:
@@ -32,11 +30,11 @@ def start(name: str) -> str:
     return f"`{instance.start_command(name)}`"
 
 
-def stop(device: str | None = None) -> str:
-    """Return the command, in backquotes, that stops the board while no service is running."""
-    import shlex  # imported only here, because a program that drives does not need it
-
-    return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
+def stop(name: str) -> str:
+    """Return the command, in backquotes, that stops the board of this service while the service is not running. It
+    names no port, because with the name it finds the port and the kind of board of the last run. With the port alone it
+    would not know which kind of board is there."""
+    return f"`failstop stop{instance.option(name)}`"
 
 
 def journal(name: str) -> str:

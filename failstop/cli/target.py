@@ -491,7 +491,7 @@ class Target:
         # A service that this user's command can't reach would not be asked by it either.
         ways = [f"`failstop stop{instance.option(name)}`" for name in names if instances.listens(name)]
         if os.geteuid():
-            ways.append(f"`sudo failstop stop --device {device}`, which writes anyway")
+            ways.append(f"`sudo failstop stop --device {device}{instance.option(self._name)}`, which writes anyway")
         return f"{device} is held exclusively by {by}{asked}: {', or '.join(['use the POWER SWITCH', *ways])}"
 
     def _other_services(self) -> str:

@@ -11,7 +11,7 @@ from failstop.api.errors import NoService
 from failstop.api.events import Event, unpack
 from failstop.api.why import Why
 from failstop.incidents import memory
-from failstop.messages import layout, records, segments
+from failstop.messages import layout, segments
 
 SAVED_LATER = "its last minute is still in memory, and is saved as an incident when the service is started again"
 NOT_SAVED = 'its last minute is still in memory, but is not saved, because incidents.save is "off"'
@@ -36,8 +36,6 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
             os.close(fd)
     cause_ns, _, cause = memory.left_cause(found)
     stop = memory.left_stop(found, cause_ns)
-    port = found[layout.PORT_OWNER]["latest"].get("port")
-    device = records.PORT.unpack(port[2])[3] if port else None
     supervisor = found[layout.SUPERVISOR]
     pid = supervisor["words"]["beat_pid"]
     now_s = time.time()
@@ -49,7 +47,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     else:
         what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
         proof = "no stop is known to have been written"
-        steps.insert(0, f"{host.stop(device)} if the wheels turn")
+        steps.insert(0, f"{host.stop(name)} if the wheels turn")
     settings = memory.as_map(supervisor["latest"].get("settings", (0, 0, b""))[2])
     also = (NOT_SAVED if settings.get("incidents.save") == "off" else SAVED_LATER,)
     return Why(what, proof, tuple(steps), also, ended_s), [

@@ -17,11 +17,12 @@ from failstop import instances
 from failstop.api import host
 from failstop.api.errors import NoService
 from failstop.api.follow import CHECK_S, Follower
+from failstop.cli.commands.status import Live
 from failstop.files import instance
 from failstop.fleet import publisher
 from failstop.incidents import left
 from failstop.messages import layout
-from failstop_lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, state_in, wait_for
 from tests.support.commands import failstop
 from tests.support.shared_trial import IMU_HZ
 
@@ -73,6 +74,29 @@ def test_a_killed_supervisor(trial: Trial) -> None:
     assert left.left(trial.name) is None
 
 
+def test_the_printed_stop_stops_the_board_of_the_dead_run() -> None:
+    """No stop was written, and the board is not of the kind that is assumed without settings."""
+    with Trial(f"left-kind-{os.getpid()}", kind="arduino") as trial:
+        trial.enable()
+        trial.drive(0.5)
+        assert trial.turning()
+        pids = trial.service.pids()
+        trial.leave()
+        trial.service.signal_known(signal.SIGSTOP)
+        wait_for("all to be frozen", lambda: all(state_in(f"/proc/{pid}/stat") == "T" for pid in pids.values()))
+        trial.service.kill_known()
+        wait_for("its end", trial.service.gone)
+        why = run(trial, "why")
+        assert why.stdout.startswith("what   THE WHEELS MAY TURN")
+        step = json.loads(run(trial, "why", "--json").stdout)["do"][0]
+        assert step == f"`failstop stop --name {trial.name}` if the wheels turn"
+        screen = "".join(text for line in Live(trial.name).gone("", 200) for text, _ in line)
+        assert step.split("`")[1] in screen
+        stop = failstop(*step.split("`")[1].split()[1:], timeout=SECONDS)
+        assert (stop.returncode, stop.stderr) == (0, "")
+        assert not trial.turning()
+
+
 def test_the_fleet_gets_each_event_of_a_run_once(trial: Trial) -> None:
     """Until the last processes of a run whose supervisor was killed have ended, the run can still be found."""
     service = publisher.Service(trial.name)
@@ -116,9 +140,8 @@ def test_a_unit_counts_where_systemd_runs_and_has_it(name: str, tmp_path: Path) 
 
 @pytest.mark.usefixtures("installed")
 def test_commands_name_what_is_not_the_usual() -> None:
-    assert (host.stop(), host.stop(host.DEVICE)) == ("`failstop stop`", "`failstop stop`")
-    assert host.stop("/dev/ttyACM1") == "`failstop stop --device /dev/ttyACM1`"
-    assert host.stop("/dev/my board") == "`failstop stop --device '/dev/my board'`"
+    assert host.stop("failstop") == "`failstop stop`"
+    assert host.stop("left") == "`failstop stop --name left`"
     assert host.start("failstop") == "`failstop run`"
     assert host.start("left") == "`failstop run --name left`"
     assert host.journal("left") == ""

@@ -93,7 +93,8 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None,
     except ValueError as error:
         if last := _of_last_run(arguments, found, wrong):
             return *last, read, OF_LAST_RUN, False
-        advice = "if a wheel turns, try `failstop stop`, or use the POWER SWITCH"
+        stop = f"`failstop stop{instance.option(arguments.name)}`"
+        advice = f"if a wheel turns, try {stop}, or use the POWER SWITCH"
         raise FailstopError(f"{error}; no stop was written: {advice}") from None
     of = f"the stop of {board.name} is written to {OF_ANOTHER}" if wrong else OF_SETTINGS
     named = arguments.device or (DEVICE not in wrong and ({DEVICE, KIND} - wrong) & {*(read or {})})

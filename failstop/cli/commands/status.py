@@ -137,7 +137,6 @@ class Live:
         self._vibration = Vibration()
         self._slow: list[Line] = []
         self._key: object = None
-        self._device: str | None = None
 
     def lines(
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
@@ -145,7 +144,6 @@ class Live:
         """Return the lines of the screen for a state. Call this at a steady rate, because each call adds one step to
         the sparklines. `mono_s`: time.monotonic(). `unix_s`: the Unix time. `rows`: the height of the terminal; the
         last events fill the rows that are left. `events`: the events of this run, the oldest first."""
-        self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         fact = state.turning.does, state.turning.unexpected
         said = (state.blocked, state.epoch, state.waiting_for, state.device, state.moving, fact)
@@ -188,7 +186,7 @@ class Live:
             [(f"{verdict.NO_SERVICE}  ", FAIL), (note, STRONG)],
             [("waiting for it to come back", PLAIN)],
             [],
-            [("if the wheels turn:  ", PLAIN), (host.stop(self._device), STRONG), (", or the POWER SWITCH", PLAIN)],
+            [("if the wheels turn:  ", PLAIN), (host.stop(self._name), STRONG), (", or the POWER SWITCH", PLAIN)],
             [("what happened:       ", PLAIN), (told, STRONG)],
             [("to start it:         ", PLAIN), (host.start(self._name), STRONG)],
         ]
