@@ -231,11 +231,22 @@ def left_off(events: Sequence[Event]) -> Event | None:
 
 def unlatched(state: State, events: Sequence[Event]) -> Event | None:
     """The event that last stopped the wheels, if it latched no stop: a driver died or fell silent, or motion was
-    disabled. None if a latched stop was the last to stop the wheels, or if a stop is latched now."""
+    disabled. None if a latched stop was the last to stop the wheels, or if a stop is latched now. None
+    proves nothing if remembered() is False."""
     stop, last = state.last_stop, newest(events, HALTS)
     if state.cause or last is None or last.kind not in UNLATCHED:
         return None
     return last if stop is None or last.ns > stop.noticed_ns else None
+
+
+def remembered(state: State, events: Sequence[Event]) -> bool:
+    """True if no event since the last latched stop is missing from `events`: a stop is latched now, or the events reach
+    back to that stop. The service keeps only its newest events. If this is False, the wheels may have turned and
+    stopped again since that stop, even if no event shows it."""
+    stop = state.last_stop
+    if state.cause or stop is None:
+        return True
+    return bool(events) and (events[0].seq == 1 or events[0].ns <= stop.noticed_ns)
 
 
 def seen_since(state: State, events: Sequence[Event], now_s: float) -> State:

@@ -168,6 +168,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
 
 
 UNTIMED = "this stop was not timed: failstop times only latched stops"
+FORGOTTEN = "the events since then are not remembered, so the wheels may have turned and stopped again"
+"""Replaces the proofs of the last latched stop if verdict.remembered() is False."""
 
 
 def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
@@ -188,11 +190,12 @@ def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
 
 def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
     """True if this stop is why the wheels are stopped. That holds while it is latched, and after its reset until
-    something enables or disables motion."""
+    something enables or disables motion. False if that can't be known, because the events since then are not
+    remembered."""
     if state.block is not Block.DISABLED:
         return stop.cause == state.cause
     change = verdict.newest(events, verdict.CHANGES)
-    return change is None or change.kind in ("stop", "reset")
+    return change.kind in ("stop", "reset") if change else verdict.remembered(state, events)
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:

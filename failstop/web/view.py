@@ -11,7 +11,7 @@ from typing import Any
 from failstop.api import distance, steps, verdict, wheels, words
 from failstop.api.snapshot import Block
 from failstop.api.steps import Purpose
-from failstop.api.why import HOLDS, UNTIMED, meaning, since, troubles
+from failstop.api.why import FORGOTTEN, HOLDS, UNTIMED, meaning, since, troubles
 from failstop.messages import layout
 from failstop.policy import proofs
 
@@ -53,7 +53,7 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "enabled": state.enabled,
         "can": _obstacles(state),
         "stop": stop_of(state.last_stop),
-        "unlatched": unlatched_of(verdict.unlatched(state, events)),
+        "unlatched": unlatched_of(verdict.unlatched(state, events), known=verdict.remembered(state, events)),
         "limit": round(100 * state.speed_limit),
         "stands": distance.WITHIN.format(state.stands_within_m),
         "driver": str(state.driver or ""),
@@ -142,9 +142,12 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
     }
 
 
-def unlatched_of(event: Event | None) -> dict[str, Any] | None:
+def unlatched_of(event: Event | None, *, known: bool) -> dict[str, Any] | None:
     """Return what stopped the wheels after the last latched stop, when this was, and why failstop has not timed this
-    stop. `event`: the event that reports this stop. Returns None if there is no such event."""
+    stop. `event`: the event that reports this stop. Returns None if there is no such event. `known`: False if there may
+    have been such a stop that is not remembered (verdict.remembered). Its time is then None."""
+    if event is None and not known:
+        return {"reason": "not known", "t": None, "lacks": FORGOTTEN}
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
 
 

@@ -24,6 +24,9 @@ VERBS = {
     records.ARM_READ: "read the arm",
     records.LIMIT: "limit the speed",
 }
+CHANGES = frozenset(("enabled", "disabled", "reset"))
+"""The kinds of notes about requests that have changed whether motion is enabled or a stop is latched. `failstop why`
+finds out from them whether the last stop still explains why the wheels are stopped."""
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
 """The shortest time between two notes about requests, once MOST_AT_ONCE notes were made. So a client that repeats a

@@ -10,7 +10,7 @@ from failstop.policy.causes import Cause, Reply, asked_before, refused, unpack_r
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.clients import Slot
-from failstop.procs.gate.remarks import Budget, of_request
+from failstop.procs.gate.remarks import CHANGES, Budget, of_request
 from failstop.shm.cell import LatestReader
 from failstop.shm.words import Barrier
 
@@ -69,7 +69,9 @@ class Requests:
         self._asked_word, self._asked_ns_word = own.word("resets_asked"), own.word("reset_asked_ns")
         self._decided_word, self._decided = supervisor.word("resets"), supervisor.latest_reader("reset")
         self._resets_seen = self._decided_word.get()
-        self._budget = Budget(now_ns)
+        self._budgets = {of_change: Budget(now_ns) for of_change in (False, True)}
+        """The budget for notes about changes of motion (remarks.CHANGES), and the budget for all other notes. A client
+        that repeats another request endlessly must not hide whether motion was enabled since the last stop."""
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
@@ -129,10 +131,11 @@ class Requests:
         """Add a note for people that says which client requested what, and with what result."""
         who, pid = (request.slot.name, request.slot.pid) if request.slot else (PAD_SOURCE, 0)
         note = of_request(request.verb, who, pid, reply, enabled=enabled)
-        if note and self._budget.spend(now_ns):
+        budget = self._budgets[note is not None and note.kind in CHANGES]
+        if note and budget.spend(now_ns):
             self._notes.append(note)
-            if unsaid := self._budget.unsaid:
-                self._budget.unsaid = 0
+            if unsaid := budget.unsaid:
+                budget.unsaid = 0
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:

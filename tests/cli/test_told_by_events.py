@@ -105,6 +105,18 @@ def test_the_last_stop_is_what_stopped_the_wheels_last_and_a_latched_one_before_
         assert "acknowledged" not in said, "the times of an earlier stop say nothing about this one"
 
 
+def test_the_proofs_of_a_stop_are_not_shown_where_the_events_since_then_are_not_remembered() -> None:
+    """The service keeps the newest events. What is missing may say that the wheels have turned since."""
+    newest = dataclasses.replace(told("limit", seq=300), ns=2)
+    for events in ([], [newest]):
+        said = rows(state(last_stop=KEY), events)
+        assert "last stop latched: key1 (" in said
+        assert "the events since then are not remembered" in said
+        assert "acknowledged" not in said
+    assert "acknowledged" in rows(latched(last_stop=KEY), [newest]), "nothing can have moved them"
+    assert "acknowledged" in rows(state(last_stop=KEY), [dataclasses.replace(newest, ns=KEY.noticed_ns)])
+
+
 def test_a_latched_stop_that_came_later_is_the_last() -> None:
     ended = dataclasses.replace(told("disabled", t=NOW_S - 400), ns=0)
     for found in (state(last_stop=KEY), latched(last_stop=KEY)):

@@ -150,6 +150,18 @@ def restarted(scene: Scene, after_ns: int = 80 * MS) -> None:
     scene.turn()
 
 
+def test_a_flood_of_other_requests_does_not_hide_that_motion_was_enabled_and_disabled(scene: Scene) -> None:
+    for number in range(MOST_AT_ONCE + 5):
+        if number == MOST_RINGS - 1:
+            scene.tick()
+        scene.ask(99)
+    scene.told()
+    scene.turn(EVERY_NS // 2)
+    for verb in (records.ENABLE, records.DISABLE):
+        scene.ask(verb)
+    assert scene.told() == ["motion enabled by test", "motion disabled by test"]
+
+
 @pytest.mark.parametrize("waits", [True, False])
 def test_a_reset_that_no_gate_has_heard_is_answered_by_the_next_one_while_it_waits(scene: Scene, waits: bool) -> None:
     scene.turn()

@@ -166,7 +166,11 @@ def test_the_last_stop_of_the_page_is_what_stopped_the_wheels_last() -> None:
     assert found == {"reason": DEATH, "t": NOW_S - 5.0, "lacks": untimed}
     assert shown(states.latched(), death)["unlatched"] is None
     assert shown(states.state(last_stop=states.stop(noticed_ns=2)), death)["unlatched"] is None
-    assert shown(states.state(last_stop=states.stop()))["unlatched"] is None
+    assert shown(states.state(last_stop=states.stop()), event("limit", "at most 90 %", 5.0))["unlatched"] is None
+    assert shown(states.state())["unlatched"] is None
+    lost = dataclasses.replace(event("limit", "at most 90 %", 5.0), seq=300)
+    found = shown(states.state(last_stop=states.stop()), lost)["unlatched"]
+    assert (found["reason"], found["t"]) == ("not known", None)
 
 
 def held(source: str, who: str) -> dict[str, Any]:

@@ -39,6 +39,7 @@ SAVED_S = 0.8
 """The latest time after the copy of the rings at which an incident file is expected, in seconds. Usually it is there
 after 0.2 s."""
 NOT_SAVED = 'incidents.save is "off"'
+UNKNOWN = "what has stopped the wheels since the last latched stop is not remembered"
 TOGETHER_NS = 500_000_000
 """A stop that comes less than this time after the cause of a saved incident, in ns, belongs to the same incident, so it
 has no file of its own."""
@@ -167,14 +168,14 @@ def _newer(name: str, stop: Stop | None) -> str:
 def unlatched(name: str) -> str:
     """Describe the last stop of the wheels if it was not latched, for example if motion was disabled. The text has the
     stop's time and reason, and says that the stop has no incident. Empty if the last stop was latched, or if a stop is
-    latched now."""
+    latched now. If the service does not remember that, the text says so."""
     try:
         at = dates.now()
         state, events = dates.dated(StateReader(name).read(), EventLog(name).read(), at)
     except FailstopError:
         return ""
     if (last := verdict.unlatched(state, events)) is None:
-        return ""
+        return "" if verdict.remembered(state, events) else UNKNOWN
     what = last.what.replace("motion disabled", "motion was disabled", 1)
     return f"at {words.clock(last.t, at.unix_s)} {what}; that is not a latched stop, so it has no incident"
 

@@ -9,7 +9,7 @@ from failstop.api import steps, verdict, words
 from failstop.api import wheels as seen
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, Block, State
-from failstop.api.why import UNTIMED, WAITS, explain, proofs
+from failstop.api.why import FORGOTTEN, UNTIMED, WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
 from failstop.policy import servos
@@ -41,7 +41,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     rows += _drivers(state)
     if state.steering_rad is not None:
         rows.append(row("steering", words.steering(state.steering_rad)))
-    rows += last_stop(state, now_s, verdict.unlatched(state, events))
+    rows += last_stop(state, now_s, verdict.unlatched(state, events), known=verdict.remembered(state, events))
     if state.speed_limit < 1:
         rows.append(row("limit", f"speed limited to {100 * state.speed_limit:.0f} % of the settings'", WARN))
     if state.arm:
@@ -110,10 +110,10 @@ def _drivers(state: State) -> list[Line]:
     return rows
 
 
-def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> list[Line]:
+def last_stop(state: State, now_s: float, unlatched: Event | None = None, *, known: bool = True) -> list[Line]:
     """Return the rows about the last stop. A latched stop is shown with its three proofs. `unlatched` is the event of a
     later stop that was not latched (verdict.unlatched). The latched stop is then shown only as an earlier stop, without
-    its proofs."""
+    its proofs. `known`: False if there may have been such a stop that is not remembered (verdict.remembered)."""
     stop = state.last_stop
     if unlatched:
         told = [*row("last stop", unlatched.what, WARN), (f" ({words.ago(unlatched.t, now_s)})", DIM)]
@@ -123,6 +123,11 @@ def last_stop(state: State, now_s: float, unlatched: Event | None = None) -> lis
         return rows
     if stop is None:
         return [row("last stop", "none since the service was started")]
+    if not known:
+        return [
+            [*row("last stop", f"latched: {stop.reason}"), (f" ({words.ago(stop.t, now_s)})", DIM)],
+            row("", FORGOTTEN),
+        ]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     line = row("", "")
     for number, (text, proven) in enumerate(proofs(stop, now_s, state.device.link)):

@@ -68,7 +68,8 @@ function list(id, content, make) {
 
 function showStop() {
   const stop = view.stop, halt = view.unlatched, known = stop ? `${stop.reason} (${clock(stop.t)})` : "";
-  const last = halt ? `${halt.reason} (${clock(halt.t)}); ${halt.lacks}` : known || "none since the service was started";
+  const at = halt && halt.t ? ` (${clock(halt.t)})` : "";
+  const last = halt ? `${halt.reason}${at}; ${halt.lacks}` : known || "none since the service was started";
   text("last-reason", halt && stop ? `${last}. The last latched stop was earlier: ${known}` : last);
   $("last-proof").hidden = !stop || !!halt; // the times of an earlier stop say nothing about this one
   if (own) followOwn();
