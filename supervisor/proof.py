@@ -12,7 +12,7 @@ that the wheels came to rest.
 
 from __future__ import annotations
 
-from failstop.board.interface import BY_IMU
+from failstop.board.interface import BY_IMU, BY_WHEELS
 from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
     LINK_ALIVE,
@@ -24,6 +24,7 @@ from failstop.policy.proofs import (
     NO_IMU,
     NOT_SENT,
     UNMOVED,
+    WINDOW_NS,
     heard_late,
     wheels_seen,
 )
@@ -60,10 +61,19 @@ held up, it may have missed that the wheels were moving."""
 class Proof:
     """What is known about the effect of one stop. All times are CLOCK_MONOTONIC in ns."""
 
-    def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
+    def __init__(
+        self,
+        stop: Stop,
+        after_ns: int,
+        now_ns: int,
+        unix_s: float,
+        by: tuple[str, str],
+        verdict: tuple[int, int] = (0, 0),
+    ) -> None:
         """`after_ns`: how long the wheels may take to come to rest. `unix_s`: the wall clock time at `now_ns`. `by`:
-        (how the board acknowledges a stop, what observes the wheels), see interface.py. The time limits for the outcome
-        count from `now_ns`, because the stop's cause may be long ago."""
+        (how the board acknowledges a stop, what observes the wheels), see interface.py. `verdict`: the newest verdict
+        about the wheels, as (still_ns, judged_ns) of judged(), however old it is. The time limits for the outcome count
+        from `now_ns`, because the stop's cause may be long ago."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
@@ -73,6 +83,9 @@ class Proof:
         self.observed_ns: int | None = None
         """The time from the stop's cause until the wheels were still, ns. 0 if the wheels were never seen moving, None
         if they were not seen still."""
+        self.observed_late = False
+        """True if nothing showed the wheels for a while before they were seen still. They may have come to rest before
+        `observed_ns`."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
         """True if the stop's bytes were still in the kernel when the outcome was logged, because the board accepted no
@@ -82,7 +95,15 @@ class Proof:
         the board."""
         self.logged = False
         """True if the outcome of the stop was logged."""
-        self._was_still = True
+        still_ns, judged_ns = verdict
+        self._turned: bool | None = None
+        """Whether the wheels were turning at the cause or since. None if no verdict shows it."""
+        self._turned_ns = 0
+        """When the newest verdict that the wheels turn was made, or 0 if none was."""
+        if judged_ns and not still_ns:
+            self._turned, self._turned_ns = True, judged_ns
+        elif judged_ns and still_ns <= stop.t_ns:
+            self._turned = False
         self._looked_ns = 0
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
@@ -116,22 +137,36 @@ class Proof:
         self._looked_ns = self._looked_ns or now_ns
         if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
-        # The board's reports are about one moment, not about a window of time. So if the wheels came to rest after the
-        # cause, they were turning at the cause.
-        late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
         if not still_ns:
-            self._was_still = False
+            self._turned, self._turned_ns = True, judged_ns
             if now_ns >= self._again_ns:
                 self._again_ns = now_ns + self._after_ns
                 self.wheels = WHEELS_UNSTILL
                 return True
-        elif not self._was_still or (late and still_ns > self.stop.t_ns):
+        elif self._came_to_rest(still_ns):
             # A window of samples may begin before the cause, when the wheels were still turning.
             self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
+            self.observed_late = still_ns - (self._turned_ns or self.stop.t_ns) > JUDGED_WITHIN_NS
         elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
         self.wheels = self.wheels if self.observed_ns is None else WHEELS_STILL
         return False
+
+    def _came_to_rest(self, still_ns: int) -> bool:
+        """True if the wheels turned at the cause or since, and not only before it. `still_ns`: since when they have
+        been still."""
+        if self._turned is not None:
+            return self._turned and still_ns > self.stop.t_ns - WINDOW_NS
+        # The board's reports are about one moment, not about a window of time. So if the wheels came to rest after the
+        # cause, they were turning at the cause.
+        late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
+        return late and still_ns > self.stop.t_ns
+
+    @property
+    def unheeded(self) -> bool:
+        """True if the board's reports show that this stop had a motion to end. A board that acknowledges stops by its
+        echo has then not obeyed this one, if it has not acknowledged it."""
+        return self._by[1] == BY_WHEELS and bool(self._turned)
 
     def complete(self, now_ns: int) -> bool:
         """Return True if nothing more will become known about the stop, and the caller must log its outcome now. Later
@@ -151,16 +186,18 @@ class Proof:
         if self.acknowledged_ns:
             heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms{late}"
         else:
-            unheard = UNMOVED if link == LINK_UNASKED and self._by[0] else f"not acknowledged (link {link})"
+            had_none = link == LINK_UNASKED and self._by[0] and not self.unheeded
+            unheard = UNMOVED if had_none else f"not acknowledged (link {link})"
             heard = f"handed over, {NOT_SENT}" if self.held else unheard
         if self.observed_ns is None:
             unstill = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
             seen = unstill if self._by[1] else NO_IMU
         else:
-            seen = wheels_seen(self.observed_ns / 1e9, self._by[1]) + late * (self.observed_ns > 0)
+            seen = wheels_seen(self.observed_ns / 1e9, self._by[1], late=self.observed_late)
+            seen += late * (self.observed_ns > 0)
         return f"{self.stop.cause}: {heard}, {seen}"
 
-    def fields(self, link: str) -> dict[str, str | float | None]:
+    def fields(self, link: str) -> dict[str, str | float | bool | None]:
         return {
             **self.stop.fields(),
             "epoch": self.stop.epoch,
@@ -186,12 +223,13 @@ class Proof:
             **self._proofs(),
         }
 
-    def _proofs(self) -> dict[str, str | float | None]:
+    def _proofs(self) -> dict[str, str | float | bool | None]:
         return {
             "acknowledged_us": None if self.acknowledged_ns is None else self.acknowledged_ns / 1e3,
             "acknowledged_by": self._by[0],
             "observed_ms": None if self.observed_ns is None else self.observed_ns / 1e6,
             "observed_by": self._by[1],
+            **({"observed_late": True} if self.observed_late else {}),
         }
 
 

@@ -84,6 +84,8 @@ class StopTracker:
         self._stopped_for = ""
         """The name of the cause of the newest stop for a bad link. Empty if there was no such stop, and again after
         motion has ended or the link has become good."""
+        self._verdict = (0, 0)
+        """The newest verdict about the wheels, as (still_ns, judged_ns) of Proof.judged(). Zeros before the first."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
         """The causes that have been logged since the latched stop was latched."""
@@ -146,14 +148,20 @@ class StopTracker:
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _track(self, stop: Stop) -> None:
-        """Begin to track the proof of this stop. Does nothing if the tracked stop was written and there was no reset
-        since, because people still look at the tracked stop."""
+        """Begin to track the proof of this stop. If there was no reset since the tracked stop, the tracked stop stays,
+        because people still look at it. If it could not be written, this stop's burst may be the first that was."""
         last = self._last
-        if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
-            return
+        if last and self._latch.reset_epoch < last.stop.epoch:
+            if last.stop.written_ns:
+                return
+            if stop.behind is last.stop:
+                if stop.written_ns > last.stop.t_ns:  # an older burst does not answer the tracked stop
+                    self._written_at_last(last, stop.written_ns, stop.by)
+                return
         if last and not last.logged:
             self._log_outcome(last)  # with everything known so far
-        self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by)
+        self._look()
+        self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by, self._verdict)
         self._last.believed = self.link.believed
         self._publish(self._last)
 
@@ -170,7 +178,8 @@ class StopTracker:
         self._check_link(now_ns, listening=listening)
         stops = self._stops_for_link(now_ns)
         self._reap_command()
-        if self._last and self._unstill(self._last, now_ns):
+        seen = self._look()
+        if self._last and self._unstill(self._last, seen, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
         if self._last and self._last.complete(now_ns):
             self._log_outcome(self._last)
@@ -226,9 +235,13 @@ class StopTracker:
         if last is None or written_ns <= last.stop.t_ns:
             return
         if not last.stop.written_ns or (before == LINK_UNHEARD and not last.believed):  # sent to another device
-            last.written_at_last(written_ns, BY_SUPERVISOR)
-            last.believed = self.link.believed
-            self._publish(last)
+            self._written_at_last(last, written_ns, BY_SUPERVISOR)
+
+    def _written_at_last(self, last: Proof, written_ns: int, by: str) -> None:
+        """Record that the tracked stop `last` was written only now."""
+        last.written_at_last(written_ns, by)
+        last.believed = self.link.believed
+        self._publish(last)
 
     def _read_answer(self) -> None:
         """Read from telemetry which of the written bytes the board has handled (board/handled.py). The record
@@ -248,21 +261,30 @@ class StopTracker:
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)
 
-    def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after the stop `last`, so that the stop must be written again. Always False
-        after a reset, because a person has taken over."""
-        stop = last.stop
-        if self._latch.reset_epoch >= stop.epoch:
-            self._command_ran = False
-            return False
-        known = last.observed_ns is not None
+    def _look(self) -> tuple[int, int] | None:
+        """Read telemetry's present verdict about the wheels, as (still_ns, judged_ns) of Proof.judged(). Returns None
+        if telemetry has made a new one meanwhile, which is then read in the next turn."""
         judged_ns = self._judged.get()
         self._barrier()
         still_ns = self._still.get()
         self._barrier()
         if self._judged.get() != judged_ns:
-            return False  # telemetry has made a new judgement meanwhile: use that one in the next turn
-        unstill = last.judged(still_ns, judged_ns, now_ns)
+            return None
+        if judged_ns:
+            self._verdict = still_ns, judged_ns
+        return still_ns, judged_ns
+
+    def _unstill(self, last: Proof, seen: tuple[int, int] | None, now_ns: int) -> bool:
+        """True if the wheels still move after the stop `last`, so that the stop must be written again. Always False
+        after a reset, because a person has taken over. `seen`: what _look() has returned."""
+        stop = last.stop
+        if self._latch.reset_epoch >= stop.epoch:
+            self._command_ran = False
+            return False
+        if seen is None:
+            return False
+        known = last.observed_ns is not None
+        unstill = last.judged(*seen, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
             self._publish(last)
@@ -320,13 +342,15 @@ class StopTracker:
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"
         fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
+        # If an earlier stop is still latched, it has already ended all motion.
+        unheeded = self._last and self._last.stop.cause.kind is causes.STOPPING and self._last.unheeded
         if heard_ns:
             heard, level = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {heard_ns / 1e6:.1f} ms", ""
-        elif link == LINK_UNASKED and self._by[0]:
+        elif link == LINK_UNASKED and self._by[0] and not unheeded:
             heard, level = UNMOVED, ""
         elif link == LINK_UNPROVEN:
             heard, level = "nobody knows whether the board hears (link unproven)", "warning"
-        elif link == LINK_UNASKED:
+        elif link == LINK_UNASKED and not self._by[0]:
             heard, level = "this board never acknowledges a stop (link unasked)", ""
         else:
             heard, level = (

@@ -161,7 +161,7 @@ class Stop:
     reports that it now obeys the stop."""
     observed_s: float | None
     """The third proof: the time from when the cause was noticed until the wheels were seen still, in s. 0 if the wheels
-    were already seen still before the stop."""
+    were already seen still before the stop. See also `observed_late`."""
     epoch: int = 0
     """The number of the epoch that began with this stop. To wait for a stop that you request, remember `State.epoch`
     before the request, and wait for a stop with a higher epoch."""
@@ -178,6 +178,9 @@ class Stop:
     believed: bool = True
     """True if the device on the port has answered as a board of this kind does. While this is False, the stop may have
     gone to a device that is not the board."""
+    observed_late: bool = False
+    """True if nothing showed the wheels for a while before they were seen still, for example because the board was
+    silent. They may have come to rest before `observed_s`."""
 
 
 @dataclasses.dataclass(frozen=True)

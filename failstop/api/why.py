@@ -20,6 +20,7 @@ from failstop.policy.proofs import (
     TO_A_STRANGER,
     UNMOVED,
     heard_late,
+    unmoved,
     wheels_seen,
 )
 
@@ -217,9 +218,9 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
         heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
         heard += late
     elif link == LINK_UNASKED:
-        heard = UNMOVED
+        heard = UNMOVED if unmoved(stop.observed_s, by) else f"NOT acknowledged by the board's echo{yet}"
     if stop.observed_s is not None:
-        seen = wheels_seen(stop.observed_s, by) + late * (stop.observed_s > 0)
+        seen = wheels_seen(stop.observed_s, by, late=stop.observed_late) + late * (stop.observed_s > 0)
     return [
         (written if stop.sent else NOT_SENT, stop.sent and stop.believed),
         (heard, stop.acknowledged_s is not None if stop.acknowledged_by else None),

@@ -29,7 +29,7 @@ from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNASKED, UNMOVED
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNASKED, UNMOVED, unmoved
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
@@ -109,9 +109,10 @@ def of_service(name: str, state: State) -> list[Finding]:
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
     if stop and stop.written_s is not None and state.device.link == LINK_UNASKED:
-        return ok(
-            f"the service's last stop: {f'written, {UNMOVED}' if stop.acknowledged_by == BY_ECHO else UNANSWERED}"
-        )
+        if stop.acknowledged_by != BY_ECHO:
+            return ok(f"the service's last stop: {UNANSWERED}")
+        if unmoved(stop.observed_s, stop.observed_by):
+            return ok(f"the service's last stop: written, {UNMOVED}")
     text = (
         "the board has not acknowledged the service's last stop"
         if stop

@@ -17,7 +17,7 @@ from failstop.api.words import took
 from failstop.messages import box, layout, records
 from failstop.messages import segments as shared
 from failstop.policy import causes
-from failstop.policy.proofs import LINK_UNASKED, NO_IMU, NOT_SENT, TO_A_STRANGER, UNMOVED, heard_late
+from failstop.policy.proofs import LINK_UNASKED, NO_IMU, NOT_SENT, TO_A_STRANGER, UNMOVED, heard_late, unmoved
 from failstop.policy.proofs import still_or_unseen as seen_after
 from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
@@ -36,7 +36,7 @@ OUTLIVED_NS = 60_000_000
 """The longest time between two beats of a live process. If a process's last beat is later than the supervisor's last
 beat by more than this, the process has outlived the supervisor."""
 NOT_KNOWN = "not known"
-_LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by")
+_LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by", "observed_late")
 PROOF_WORDS = ("noticed_by", "written_by", "written_us", "sent", "believed", *_LATER)
 _WORD = struct.Struct("<Q")
 
@@ -185,10 +185,12 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
     elif stop.get("acknowledged_by") == "":
         found[1] = "this board never acknowledges a stop", None
     elif outcome and stop.get("acknowledged_by"):
-        found[1] = (UNMOVED, None) if outcome == LINK_UNASKED else ("NOT acknowledged", False)
+        excused = outcome == LINK_UNASKED and unmoved(seen_ms, stop.get("observed_by") or "")
+        found[1] = (UNMOVED, None) if excused else ("NOT acknowledged", False)
     if seen_ms is not None:
         # This must be short enough for a line of 80 columns.
-        seen = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU")
+        since = bool(stop.get("observed_late"))
+        seen = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU", late=since)
         found[2] = f"{seen}{late}" if seen_ms else seen, True if seen_ms else None
     elif stop.get("observed_by") == "":
         found[2] = NO_IMU, None

@@ -36,7 +36,7 @@ ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
 """The reason why a stop is not acknowledged although the board is connected. A board that answers no pings can
 acknowledge a stop only by reporting that its speed changes to zero. If it already reported zero before the stop, there
-is no such change."""
+is no such change. See unmoved()."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """What can observe the wheels, in words for people. The keys are those of board/interface.py. If nothing observes the
 wheels, the text is NO_IMU."""
@@ -77,17 +77,29 @@ def observer(boards: str, *, imu: bool) -> str:
     return boards if imu or boards != "IMU" else ""
 
 
-def still_after(seconds: float, less: str = "less than") -> str:
-    """The time until the wheels were still, as a text with no more digits than the measurement justifies."""
+def still_after(seconds: float, less: str = "less than", *, late: bool = False) -> str:
+    """The time until the wheels were still, as a text with no more digits than the measurement justifies. `late`: True
+    if nothing showed the wheels for a while before, so that they may have stopped earlier."""
+    if late and seconds >= RESOLUTION_S:
+        return f"at most {seconds:.1f} s"
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
-def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
+def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU", *, late: bool = False) -> str:
     """A text that follows the word "wheels": how long it took until they were still. If `seconds` is 0, the text says
-    that no motion was seen even before the stop."""
-    return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
+    that no motion was seen even before the stop. `late`: see still_after()."""
+    return f"still after {still_after(seconds, less, late=late)}" if seconds else NEVER_SEEN[by]
 
 
-def wheels_seen(seconds: float, by: str = "IMU") -> str:
-    """A text that says how long it took until the wheels were still, or that they were not seen moving."""
-    return f"wheels {still_or_unseen(seconds)}" if seconds else NEVER_SEEN[by]
+def wheels_seen(seconds: float, by: str = "IMU", *, late: bool = False) -> str:
+    """A text that says how long it took until the wheels were still, or that they were not seen moving. `late`: see
+    still_after()."""
+    return f"wheels {still_or_unseen(seconds, late=late)}" if seconds else NEVER_SEEN[by]
+
+
+def unmoved(observed: float | None, by: str) -> bool:
+    """True if UNMOVED may be why a board that acknowledges by its echo has not acknowledged a stop. False if the
+    board's own reports show that the stop had a motion to end, or do not show the wheels still. `observed`: the time
+    until the wheels were seen still, 0 if they were still before, or None if they were not seen still. `by`: what
+    observes them."""
+    return observed == 0 or by != "wheels"

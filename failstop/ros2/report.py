@@ -201,7 +201,9 @@ def _seen(stop: Stop) -> str:
     """Whether the wheels were seen standing still, in words."""
     if stop.observed_s is None:
         return "wheels not seen still yet" if stop.observed_by else NO_IMU
-    return f"observed after {stop.observed_s * 1e3:.0f} ms" if stop.observed_s else wheels_seen(0.0, stop.observed_by)
+    if not stop.observed_s:
+        return wheels_seen(0.0, stop.observed_by)
+    return f"observed after {'at most ' if stop.observed_late else ''}{stop.observed_s * 1e3:.0f} ms"
 
 
 def _known(value: float | None) -> float:

@@ -133,7 +133,7 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": _written(stop),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by) if stop.observed_s else "",
+        "observed": _observed(stop),
         "lacks": {
             "written": "NO: it could not be written" if stop.written_s is None else "NO: the board accepts no bytes",
             "acknowledged": "" if stop.acknowledged_by else "this board never does",
@@ -149,6 +149,14 @@ def unlatched_of(event: Event | None, *, known: bool) -> dict[str, Any] | None:
     if event is None and not known:
         return {"reason": "not known", "t": None, "lacks": FORGOTTEN}
     return None if event is None else {"reason": words.plain(event.what), "t": event.t, "lacks": UNTIMED}
+
+
+def _observed(stop: Stop) -> str:
+    """Return how long it took until the wheels were seen still, in words. Empty if they were not seen to come to
+    rest."""
+    if not stop.observed_s:
+        return ""
+    return proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by, late=stop.observed_late)
 
 
 def _unseen(stop: Stop) -> str:

@@ -67,8 +67,11 @@ def test_nothing_is_to_come(service: Simulated, command: Any) -> None:
     service.wait_for("the latch", lambda: service.robot.state.estop == "device lost")
     assert command.unsaved("failstop") is not None
     service.die("telemetry")
-    service.wait_for("its stop", lambda: service.robot.state.last_stop.reason == "telemetry died")
-    assert command.unsaved("failstop") is None, "it belongs to the file of the one that is latched"
+    service.wait_for("its stop", lambda: "restarting telemetry" in service.said)
+    last = service.robot.state.last_stop
+    assert (last.reason, last.written_s) == ("device lost", None)
+    saved(service, 0.0)
+    assert command.unsaved("failstop") is None, "the later one belongs to the file of the one that is latched"
 
 
 def test_its_file_is_waited_for(service: Simulated) -> None:
@@ -180,6 +183,22 @@ def test_a_latched_stop_after_a_driver_s_death_is_shown_without_a_word(service: 
     code, printed, errors = service.command("incident", "show")
     assert (code, errors) == (0, "")
     assert printed.startswith("Incident ")
+
+
+def test_a_stop_that_is_asked_for_while_the_port_is_lost_keeps_the_proofs_of_the_latched_one(
+    service: Simulated,
+) -> None:
+    service.set_off()
+    service.board.unplug()
+    service.wait_for("the latch", lambda: service.robot.state.estop == "device lost")
+    noticed_ns = service.robot.state.last_stop.noticed_ns
+    assert service.command("stop", "somebody", "pulled", "the", "plug")[0] == 1
+    assert service.robot.state.last_stop.reason == "device lost"
+    service.board.replug()
+    service.wait_for("an answer", lambda: service.robot.state.last_stop.acknowledged_s is not None)
+    stop = service.robot.state.last_stop
+    assert (stop.reason, stop.noticed_ns) == ("device lost", noticed_ns)
+    assert service.robot.why().since == stop.t
 
 
 def test_the_proof_of_an_earlier_stop_is_not_given_for_a_driver_s_death(service: Simulated) -> None:

@@ -110,6 +110,38 @@ def test_the_rest_of_the_wheels_is_when_they_stood(
         assert last.outcome("alive").endswith(f", {NEVER_SEEN[by]}")
 
 
+@pytest.mark.parametrize(
+    ("by", "verdict_ms", "look_ms", "observed_ms", "told"),
+    [
+        # They turned, then nothing was read for long: when they came to rest is not known.
+        ("IMU", (None, -600), (6_000, 6_800), 6_000.0, "wheels still after at most 6.0 s"),
+        ("wheels", (None, -100), (6_000, 6_000), 6_000.0, "wheels still after at most 6.0 s"),
+        ("wheels", (None, -20), (300, 300), 300.0, "wheels still after about 0.3 s"),
+        # They were still, and the verdict only began anew.
+        ("wheels", (-5_000, -20), (300, 900), 0.0, NEVER_SEEN["wheels"]),
+        ("IMU", (-5_000, -600), (6_000, 6_800), 0.0, NEVER_SEEN["IMU"]),
+        # They had turned, and came to rest long before the cause.
+        ("IMU", (None, -6_000), (-5_000, 900), 0.0, NEVER_SEEN["IMU"]),
+        # A verdict that the supervisor reads late, of wheels that came to rest after the cause, is none from before it.
+        ("wheels", (40, 40), (40, 45), 40.0, "wheels still after less than 0.2 s"),
+    ],
+)
+def test_whether_the_wheels_turned_is_known_from_the_newest_verdict_however_old(
+    by: str, verdict_ms: tuple[float | None, float], look_ms: tuple[float, float], observed_ms: float, told: str
+) -> None:
+    """Each verdict: since when they were still (None: they turned), and when that was judged."""
+    stop = proof().stop
+    still_ms, judged_ms = verdict_ms
+    verdict = (0 if still_ms is None else T0 + round(still_ms * MS), T0 + round(judged_ms * MS))
+    last = Proof(stop, AFTER, T0 + MS, 1.0, ("answer", by), verdict)
+    for ms in range(1, 500, 10):
+        assert not last.judged(*verdict, T0 + ms * MS)
+    judged_ns = T0 + round(look_ms[1] * MS)
+    assert not last.judged(T0 + round(look_ms[0] * MS), judged_ns, judged_ns)
+    assert last.as_record()["observed_ms"] == observed_ms
+    assert last.outcome("alive").endswith(f", {told}")
+
+
 @pytest.mark.claim("BOARD-1")
 def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
     last = proof()
@@ -182,6 +214,12 @@ def test_a_board_whose_echo_acknowledges_had_nothing_to_obey(acknowledges: str, 
     assert last.outcome(link).startswith(f"gate died: {told}, ")
 
 
+def test_a_board_that_has_not_echoed_the_end_of_a_motion_has_not_obeyed() -> None:
+    last = Proof(proof().stop, AFTER, T0 + MS, 1.0, ("echo", "wheels"), (0, T0 - MS))
+    last.judged(T0 + 600 * MS, T0 + 600 * MS, T0 + 600 * MS)
+    assert last.outcome(LINK_UNASKED).startswith("gate died: not acknowledged (link unasked), wheels still after")
+
+
 def test_a_rest_within_the_resolution_is_told_as_that() -> None:
     assert still_after(0.19) == "less than 0.2 s"
     assert still_after(0.2) == "about 0.2 s"
@@ -208,6 +246,7 @@ def test_what_programs_are_told_of_it() -> None:
     assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": None, "wheels": "unstill"}
     last.judged(T0 + 2 * AFTER - 1, T0 + 2 * AFTER, T0 + 2 * AFTER)
     observed_ms = (2 * AFTER - 1) / 1e6
+    told |= {"observed_late": True}  # nothing was read for a whole AFTER
     assert last.fields("alive") == {**told, "acknowledged_us": 2_000.0, "observed_ms": observed_ms, "wheels": "still"}
     assert last.as_record() == {
         "cause": why("gate died").pack(),
@@ -224,6 +263,7 @@ def test_what_programs_are_told_of_it() -> None:
         "acknowledged_by": "answer",
         "observed_ms": observed_ms,
         "observed_by": "IMU",
+        "observed_late": True,
     }
 
 
