@@ -45,6 +45,8 @@ FINISH_S = 4.0
 """How long the end of the service waits for all savers, in seconds. On a slow computer with an SD card, a saver may
 need more than a second. systemd allows TimeoutStopSec for the whole end."""
 STEP = "look at the disk and at the state directory"
+OF_DEAD_RUN = {"run": "before"}
+"""The field of an event about the incident of a dead, earlier run, as the saver reports it."""
 TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
@@ -73,6 +75,8 @@ class BlackBox:
         self._for_dead_run = 0
         """The pid of the saver that will save what a dead, earlier run has left, as soon as the current run is ready. 0
         if no such saver waits."""
+        self._dead_run_saver = 0
+        """The pid of the saver for a dead, earlier run, also after it has ended. 0 if there was none."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
@@ -124,7 +128,8 @@ class BlackBox:
         moves."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
-            self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
+            self._dead_run_saver = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
+            self._for_dead_run = self._dead_run_saver
         while left:
             os.close(left.popitem()[1])
 
@@ -143,7 +148,7 @@ class BlackBox:
             self._savers[pid] = ends.pop(0)
         except OSError as error:
             pid = 0
-            self._not_saved(f"cannot start the saver: {error}")
+            self._not_saved(f"cannot start the saver: {error}", fields=OF_DEAD_RUN if "cause_ns" not in words else None)
         for end in ends:
             end.close()
         return pid
@@ -161,11 +166,11 @@ class BlackBox:
                 except (OSError, ValueError):
                     told = None
                 self._savers.pop(pid).close()
-                self._log_saved(code, told if isinstance(told, dict) else None)
+                self._log_saved(pid, code, told if isinstance(told, dict) else None)
 
-    def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Log what a saver has saved, or what went wrong. `code`: the saver's exit code. `told`: the saver's report, or
-        None if it sent none."""
+    def _log_saved(self, pid: int, code: int, told: dict[str, str | float] | None) -> None:
+        """Log what the saver `pid` has saved, or what went wrong. `code`: the saver's exit code. `told`: the saver's
+        report, or None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}
@@ -175,11 +180,13 @@ class BlackBox:
             self._events.log("incident", f"incident {identity} saved", told, step=show)
         else:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
-            self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}")
+            ended = {"ended": records.printable(str(told["ended"]))} if "ended" in told else {}
+            fields = {**OF_DEAD_RUN, **ended} if pid == self._dead_run_saver else None
+            self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}", fields=fields)
 
-    def _not_saved(self, why: str, step: str = STEP) -> None:
-        reason = {"reason": f"{why}{NEXT_STEP}{step}"}
-        self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
+    def _not_saved(self, why: str, step: str = STEP, fields: dict[str, str] | None = None) -> None:
+        found = {"reason": f"{why}{NEXT_STEP}{step}", **(fields or {})}
+        self._events.log("incident", f"incident not saved: {why}", found, level="warning", step=step)
 
     def finish(self) -> None:
         """Start the savers that still wait, up to MOST_SAVERS, and then wait at most FINISH_S for all of them. Logs
@@ -200,6 +207,8 @@ class BlackBox:
             life.wait(max(0, until_ns - monotonic_ns()) * 1e-9)
             life.close()
         self._reap()
-        for _ in self._savers:  # systemd's stop tool kills them next; without systemd they may still finish
-            self._not_saved("the service ended while it was being written, so the file may be missing")
+        for pid in self._savers:  # systemd's stop tool kills them next; without systemd they may still finish
+            fields = OF_DEAD_RUN if pid == self._dead_run_saver else None
+            why = "the service ended while it was being written, so the file may be missing"
+            self._not_saved(why, fields=fields)
         self._events.flush()

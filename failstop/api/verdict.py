@@ -279,7 +279,18 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """How the previous run of the service ended, with the command that shows more. Empty if the previous run ended
+    """How the previous run of the service ended, with the command that shows more, or with the reason why its incident
+    was not saved. Empty if the previous run ended cleanly."""
+    if (told := before_event(events)) is None:
+        return ""
+    if "id" in told.fields:
+        return f"{told.fields['reason']} (`failstop incident show {told.fields['id']}`)"
+    return (
+        f"{told.fields.get('ended', 'it did not end cleanly')}; {told.what.replace('incident', 'its incident was', 1)}"
+    )
+
+
+def before_event(events: Sequence[Event]) -> Event | None:
+    """The event that reports whether the incident of the previous run was saved. None if the previous run ended
     cleanly."""
-    told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
-    return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""
+    return next((it for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)

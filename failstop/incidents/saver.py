@@ -42,11 +42,12 @@ RETURN_NS = 12_000_000_000
 is back."""
 SAVER_LOOK_NS = 250_000_000
 MOST_SAID = 500
+MOST_ENDED = 120
 
 
 def main(words: dict[str, str]) -> int:
     """Save one incident, and return the exit code. Writes the map from save() to the result pipe, or a map with the
-    error as `wrong`.
+    error as `wrong` and, for a dead run, the reason of its end as `ended`.
 
     `words` has these keys:
 
@@ -63,7 +64,7 @@ def main(words: dict[str, str]) -> int:
     try:
         told, code = save(words), 0
     except (OSError, segments.AttachError, files.IncidentError) as error:
-        told, code = {"wrong": str(error)[:MOST_SAID]}, 1
+        told, code = {"wrong": str(error)[:MOST_SAID], **_ended(words)}, 1
     try:
         os.write(int(words["result"]), pack(told))
     except OSError:
@@ -73,11 +74,26 @@ def main(words: dict[str, str]) -> int:
     return code
 
 
+def _ended(words: dict[str, str]) -> dict[str, str]:
+    """Why a dead run ended, as `ended`, for the report that its incident could not be saved. Empty if the run is alive,
+    or if that can't be read."""
+    if "cause_ns" in words:
+        return {}
+    try:
+        return {"ended": str(memory.left_cause(memory.copy(_fds(words), words["name"])[1])[2])[:MOST_ENDED]}
+    except (OSError, segments.AttachError, KeyError, ValueError):
+        return {}
+
+
+def _fds(words: dict[str, str]) -> dict[str, int]:
+    return {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
+
+
 def save(words: dict[str, str]) -> dict[str, Any]:
     """Save one incident. Returns its `id`, the time of its cause `at` (Unix time, s), its `reason` and its `run` (this
     or before). Returns an empty map if a dead run was never ready. Raises OSError, AttachError, IncidentError."""
     name, live = words["name"], "cause_ns" in words
-    fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
+    fds = _fds(words)
     state = memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state")
     if not live and state in (0, BEAT_STARTING):
         # This run was never ready. The state is 0 if it was killed before its first heartbeat. The journal says why,

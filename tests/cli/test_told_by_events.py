@@ -156,4 +156,14 @@ def test_an_incident_of_this_run_is_none_of_before() -> None:
     begun = told("ready", t=NOW_S - 8)
     assert verdict.before([begun, told("stop", t=NOW_S - 7.4, seq=2), own]) == ""
     assert verdict.before([begun, told("incident", {"reason": "no room"})]) == ""
+
+
+def test_the_run_before_this_one_is_told_of_without_its_incident_where_that_could_not_be_saved() -> None:
+    begun, failed = told("ready", t=NOW_S - 8), told("incident", {"run": "before", "ended": "supervisor died"})
+    failed = dataclasses.replace(failed, text="incident not saved: no room on the disk")
+    said = "supervisor died; its incident was not saved: no room on the disk"
+    assert verdict.before([begun, failed]) == said
+    assert f"the run before this one: {said}" in why(state(), [begun, failed])
+    killed = dataclasses.replace(failed, fields={"run": "before"})
+    assert verdict.before([killed]).startswith("it did not end cleanly; its incident was not saved")
     assert verdict.before([]) == ""

@@ -135,6 +135,20 @@ def test_a_run_that_died_is_named_before_an_older_incident_is_shown(save: str, s
     assert " ".join(errors.split()) == f"failstop: {died}"
 
 
+def test_a_run_whose_incident_was_not_saved_is_named_before_an_older_incident_is_shown(service: Simulated) -> None:
+    replace(service, "gate")
+    saved(service, 0.002)
+    service.lab.machine.programs["saver.py"] = lambda process, argv: 1
+    service.die("supervisor")
+    service.recover("supervisor", 0)
+    service.wait_for("the saver's end", lambda: "incident not saved" in service.said)
+    code, printed, errors = service.command("incident", "show")
+    assert (code, printed[:9]) == (0, "Incident ")
+    assert errors.startswith("failstop: the run before this one: ")
+    assert "its incident was not saved: the saver ended with code 1" in " ".join(errors.split())
+    assert "the run before this one: " in " ".join(service.command("why")[1].split())
+
+
 def kill_driver(service: Simulated) -> Process:
     """A driver that is killed while the wheels turn; motion is disabled for that, and nothing is latched."""
 

@@ -300,7 +300,19 @@ def test_a_dead_run_s_saver_that_is_killed_costs_nothing_but_the_incident(scene:
     scene.now_ns += TAKEDOWN_NS
     for ready in (False, True):
         follow(scene, ready=ready)
-    assert scene.said() == [lost("the saver was killed by signal 9")]
+    kind, level, text, fields = lost("the saver was killed by signal 9")
+    assert scene.said() == [(kind, level, text, {**fields, "run": "before"})]
+
+
+def test_a_dead_run_whose_incident_could_not_be_saved_is_named(scene: Scene) -> None:
+    left_behind(scene, len(layout.PROCESS_NAMES))
+    scene.supervisor.blackbox.begin()
+    follow(scene)
+    ends(scene, scene.born[0], msgpack.packb({"wrong": "no room", "ended": "supervisor died"}), 1)
+    ((kind, level, text, fields),) = scene.said()
+    assert (kind, level) == ("incident", "warning")
+    assert text.startswith("incident not saved: no room")
+    assert (fields["run"], fields["ended"]) == ("before", "supervisor died")
 
 
 def test_a_dead_run_that_is_not_whole_is_not_saved(scene: Scene) -> None:

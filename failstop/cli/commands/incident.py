@@ -162,7 +162,19 @@ def _newer(name: str, stop: Stop | None) -> str:
         return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
     if gone := left(name):
         return f"the last run died: {'; '.join(gone[0].also)}"
-    return unlatched(name)
+    return before(name) or unlatched(name)
+
+
+def before(name: str) -> str:
+    """Describe the end of the run before this one if its incident was not saved and this run has had no stop yet. Empty
+    otherwise."""
+    try:
+        stop, told = StateReader(name).read().last_stop, verdict.before_event(EventLog(name).read())
+    except FailstopError:
+        return ""
+    if stop or told is None or "id" in told.fields:
+        return ""
+    return f"the run before this one: {verdict.before([told])}"
 
 
 def unlatched(name: str) -> str:
@@ -202,6 +214,7 @@ def failed(name: str, stop: Stop) -> str:
         if StateReader(name).settings()["incidents.save"] == "off":
             return NOT_SAVED
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
+        told = [event for event in told if event.fields.get("run") != "before"]
     except FailstopError:
         return ""
     return told[-1].what.removeprefix("incident not saved: ") if told and told[-1].level == "warning" else ""
