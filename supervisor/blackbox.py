@@ -10,7 +10,7 @@ import _socket
 import contextlib
 import os
 from collections.abc import Callable
-from time import monotonic_ns
+from time import monotonic_ns, time_ns
 
 import msgpack
 
@@ -89,6 +89,8 @@ class BlackBox:
             self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
         elif self._on:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
+            # Now, because the wall clock may jump before the copy, for example while the machine sleeps.
+            words["offset_ns"] = time_ns() - monotonic_ns()
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + self._copy_ns}))
 
     def poll(self, now_ns: int, *, ready: bool) -> None:

@@ -39,7 +39,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     supervisor = found[layout.SUPERVISOR]
     pid = supervisor["words"]["beat_pid"]
     now_s = time.time()
-    ended_s = now_s - (time.monotonic_ns() - cause_ns) / 1e9
+    ended_s = (cause_ns + memory.unix_offset_ns(found)) / 1e9
     what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
     steps = [host.start(name), words.named("`failstop incident show last`, for what came before it", name)]
     if stop:

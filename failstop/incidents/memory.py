@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+import time
 
 import msgpack
 
@@ -101,6 +102,16 @@ def left_cause(segments: Segments) -> tuple[int, int, Cause]:
     if last_ns > beat_ns + OUTLIVED_NS:
         return beat_ns, raised, causes.DIED(layout.SUPERVISOR)
     return last_ns, raised, causes.ALL_DIED()
+
+
+def unix_offset_ns(segments: Segments) -> int:
+    """The wall clock minus the monotonic clock at the run's newest event, which shows both times. Without an event, the
+    offset is the present one. The two may differ, because the machine may have slept since the run ended."""
+    for _, _, payload in reversed(segments[layout.SUPERVISOR]["rings"]["events"]):
+        event = as_map(payload)
+        if isinstance(t := event.get("t"), float) and isinstance(ns := event.get("ns"), int):
+            return round(t * 1e9) - ns
+    return time.time_ns() - time.monotonic_ns()
 
 
 def known_better(segments: Segments, latched: Cause) -> Cause:

@@ -58,6 +58,7 @@ def main(words: dict[str, str]) -> int:
     - `until_ns`: when to copy
     - `hurry`: a pipe that is closed if the copy must be made at once
     - `cause_ns`, `epoch`, `cause`: the stop, if the run is still alive
+    - `offset_ns`: the wall clock minus the monotonic clock at that stop
     """
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as adjust:
         adjust.write("500")  # if memory runs out, the kernel must kill this process first
@@ -111,7 +112,8 @@ def save(words: dict[str, str]) -> dict[str, Any]:
             cause = int(words["cause_ns"]), int(words["epoch"]), memory.known_better(segments, latched)
         else:
             cause = memory.left_cause(segments)
-        head = _head(name, "stop" if live else "left", cause, run, segments)
+        offset_ns = int(words["offset_ns"]) if live else memory.unix_offset_ns(segments)
+        head = _head(name, "stop" if live else "left", cause, run, segments, offset_ns)
         settings = dict(line.split("=", 1) for line in os.environ.get("FAILSTOP_SETTINGS", "").splitlines())
         made = files.build(head, {"segments": segments, "settings": settings, "machine": machine()})
     except BaseException:
@@ -148,26 +150,27 @@ def _is_lost(name: str, fd: int) -> bool:
     return bool(told) and records.PORT.unpack(told[-1][2])[2] == records.PORT_LOST
 
 
-def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segments: memory.Segments) -> dict[str, Any]:
-    """The head of the file: everything that a list of incidents shows. Every newer version of failstop can read it."""
+def _head(
+    name: str, kind: str, cause: tuple[int, int, Cause], run: int, segments: memory.Segments, offset_ns: int
+) -> dict[str, Any]:
+    """The head of the file: everything that a list of incidents shows. Every newer version of failstop can read it.
+    `offset_ns`: the wall clock minus the monotonic clock at the time of the stop. All times in the file use it."""
     cause_ns, epoch, why = cause
     now_s, release = time.time(), os.uname()
-    # All times in the file use this offset. If the wall clock was set since the stop, they are wrong by that much.
-    unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
     stop = memory.logged_stop(segments, cause_ns)
     if not stop or stop["written_us"] is None:
         # The stop may have been written after the supervisor's record.
         stop = (stop or {}) | memory.left_stop(segments, cause_ns) or None
     return {
         "name": name,
-        "t": (cause_ns + unix_minus_monotonic_ns) / 1e9,
+        "t": (cause_ns + offset_ns) / 1e9,
         "saved": now_s,
         "reason": str(why),
         "cause": why.as_map(),
         "kind": kind,
         "cause_ns": cause_ns,
         "epoch": epoch,
-        "unix_minus_monotonic_ns": unix_minus_monotonic_ns,
+        "unix_minus_monotonic_ns": offset_ns,
         "stop": stop,
         "layout": layout.LAYOUT_VERSION,
         "run": f"{run:016x}",

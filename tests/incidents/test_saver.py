@@ -20,6 +20,7 @@ from failstop.board.rrc.board import BOARD
 from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
 from failstop.messages import box, layout, records, segments
+from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
@@ -69,7 +70,8 @@ class Saving:
 
     def live(self, **words: object) -> dict[str, object]:
         now_ns = time.monotonic_ns()
-        return {"cause_ns": now_ns, "epoch": 2, "cause": SAID.pack().hex(), "until_ns": now_ns, **words}
+        known = {"cause_ns": now_ns, "epoch": 2, "cause": SAID.pack().hex(), "until_ns": now_ns}
+        return {**known, "offset_ns": time.time_ns() - now_ns, **words}
 
     def newest(self) -> Incident:
         return Incident.read(files.find("last", self.name, {"STATE_DIRECTORY": str(self.state)}))
@@ -164,6 +166,28 @@ def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Savi
     saving.supervisor.word("beat_state").set(BEAT_RUNNING)
     assert saving.save()["run"] == "before"
     assert saving.newest().reason == "the whole service died"
+
+
+def test_the_time_of_an_incident_is_that_of_the_stop_though_the_machine_has_slept_since(saving: Saving) -> None:
+    """The wall clock goes on while the machine sleeps, and the monotonic clock does not."""
+    slept_s = 8 * 3600
+    words = saving.live()
+    saving.save(**{**words, "offset_ns": int(str(words["offset_ns"])) - slept_s * 10**9})
+    assert abs(saving.newest().head["t"] - (time.time() - slept_s)) < 60
+    saving.supervisor.word("beat_state").set(BEAT_RUNNING)
+    event = {"t": time.time() - slept_s, "ns": time.monotonic_ns(), "kind": "ready", "text": ""}
+    saving.supervisor.word("beat_ns").set(time.monotonic_ns())
+    saving.supervisor.ring_writer("events").put(pack(event))
+    assert saving.save()["run"] == "before"
+    assert abs(saving.newest().head["t"] - (time.time() - slept_s)) < 60
+
+
+def test_a_dead_run_that_can_not_be_saved_is_named_all_the_same(saving: Saving) -> None:
+    saving.supervisor.word("beat_state").set(BEAT_RUNNING)
+    saving.state.write_text("not a folder", encoding="ascii")
+    told = saving.save()
+    assert told["ended"] == "the whole service died"
+    assert told["wrong"]
 
 
 def lose_port(saving: Saving, state: int) -> None:

@@ -127,6 +127,7 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     listed = ",".join(f"{process}:{fd}" for process, fd in scene.run.readable.items())
     expected = {"name": "stage", "keep": "7", "max_mb": "8", "fds": listed, "cause": CAUSE.pack().hex()}
     assert given.items() >= {**expected, "cause_ns": str(T0), "epoch": "7", "until_ns": str(T0 + box.COPY_NS)}.items()
+    assert int(given["offset_ns"]) == scene.machine.unix_ns + scene.machine.slept_ns
     assert saver.argv[0].endswith("/incidents/saver.py")
     assert saver.environ == scene.load("failstop.supervisor.starter").environment(scene.settings)
     assert set(saver.files) == {0, 1, 2, int(given["hurry"]), *scene.run.readable.values()}
