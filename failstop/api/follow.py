@@ -29,6 +29,9 @@ class Follower:
         self.note = ""
         """The reason for the latest failure of read(). It stays here even after read() has succeeded again. Empty if
         read() has never failed."""
+        self.absent = False
+        """True if the latest failure of read() was that no service is running. False if the service may be running, but
+        can't be read, for example because it is of another version."""
         self.events: list[Event] = []
         """The newest events of the service's present run, at most 256, the oldest first."""
         self._robot = Robot(name)
@@ -43,8 +46,8 @@ class Follower:
                 self._listen()
             return self._robot.state
         except FailstopError as error:
-            gone = isinstance(error, NoService)
-            self.note = f"no service named {self.name!r} is running" if gone else str(error)
+            self.absent = isinstance(error, NoService)
+            self.note = f"no service named {self.name!r} is running" if self.absent else str(error)
             return None
 
     def _listen(self) -> None:

@@ -66,6 +66,12 @@ NO_SERVICE = Step(
 )
 """The step if no service is running. It is fixed, because without a service there is no state from which the steps
 could be found."""
+UNREADABLE = Step(
+    Purpose.MEND,
+    "end what reads the service, and start it again",
+    "if the wheels turn: turn the robot's power switch off. Then restart this page's server",
+)
+"""The step if the service can't be read, usually because it was upgraded while another program read it."""
 YOUR_PROGRAM = "start your driving program"
 HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE", "drive": YOUR_PROGRAM}
 """The texts for the web page on a paired device. That page has buttons for resetting, attending and enabling."""

@@ -30,6 +30,8 @@ COMMANDED = "COMMANDED TO DRIVE"
 """Shown instead of DRIVING while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
 """Shown when no service is running."""
+UNREADABLE = "CAN'T READ"
+"""Shown when the service can't be read, for example because it is of another version. It may be running."""
 NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """A text for each state of the connection to the board."""

@@ -86,22 +86,22 @@ def live(state: State, vibration_radps: float | None) -> list[Any]:
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
 
 
-def absent(note: str) -> dict[str, Any]:
-    """Return the values to show if no service is running. `note`: why there is none."""
+def absent(note: str, *, gone: bool = True) -> dict[str, Any]:
+    """Return the values to show if the service can't be read. `note`: the reason. `gone`: True if no service is
+    running."""
+    step = steps.NO_SERVICE if gone else steps.UNREADABLE
     return {
         "name": "",
-        "word": verdict.NO_SERVICE,
+        "word": verdict.NO_SERVICE if gone else verdict.UNREADABLE,
         "role": BAD,
         "why": words.sentence(note),
         "since": None,
         "epoch": 0,
         "run": 0,
-        "next": steps.NO_SERVICE.pressed,
-        "next_driver": steps.NO_SERVICE.pressed,
-        "next_unpaired": steps.NO_SERVICE.pressed,
+        **dict.fromkeys(("next", "next_driver", "next_unpaired"), step.pressed),
         "latched": False,
         "enabled": False,
-        "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs"),
+        "can": dict.fromkeys(("reset", "enable", "disable"), "no service runs" if gone else "it can't be read"),
         "stop": None,
         "unlatched": None,
         "limit": 100,

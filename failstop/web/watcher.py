@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from failstop.api import dates
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.follow import Follower, Vibration
 from failstop.web import view
 
@@ -36,6 +36,8 @@ class Watcher:
         """How often `shown` has changed."""
         self._follower: Follower | None = None
         self._note = f"no service named {name!r} is running"
+        self._gone = True
+        """True if no service is running. False if the service may be running, but can't be read."""
         self._vibration = Vibration()
         self._key: object = None
         self._drawn_s = self._tried_s = float("-inf")
@@ -47,7 +49,7 @@ class Watcher:
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None
-            self._show(view.absent(self._note))
+            self._show(view.absent(self._note, gone=self._gone))
             self._key = None
             return
         imu = self.state.imu
@@ -78,9 +80,9 @@ class Watcher:
             try:
                 self._follower = Follower(self.name)
             except FailstopError as error:
-                self._note = str(error)
+                self._note, self._gone = str(error), isinstance(error, NoService)
                 return None
         state = self._follower.read(now_s)
         if state is None:
-            self._note = self._follower.note
+            self._note, self._gone = self._follower.note, self._follower.absent
         return state

@@ -21,7 +21,7 @@ from failstop.cli.commands.status import Live
 from failstop.files import instance
 from failstop.fleet import publisher
 from failstop.incidents import left
-from failstop.messages import layout
+from failstop.messages import layout, segments
 from failstop_lab.trial import Trial, state_in, wait_for
 from tests.support.commands import failstop
 from tests.support.shared_trial import IMU_HZ
@@ -171,11 +171,29 @@ def test_an_end_and_a_start_anew(trial: Trial) -> None:
         assert f"`failstop run --name {trial.name} --device {trial.board.link}`" in done.stderr
     assert often.read(10.0) is None
     assert "no service named" in often.note
+    assert often.absent
     trial.service.start()
     after = seldom.read(CHECK_S)
     assert after is not None
     assert after.processes[layout.SUPERVISOR].pid == trial.service.pids()[layout.SUPERVISOR]
     assert after.processes[layout.SUPERVISOR].pid != before.processes[layout.SUPERVISOR].pid
+
+
+def test_a_service_of_another_version_is_not_said_to_be_absent(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    follower = Follower(trial.name)
+    trial.leave()
+    assert trial.service.end() == 0
+    trial.service.start()
+    monkeypatch.setattr(segments, "LAYOUT_HASH", layout.LAYOUT_HASH ^ 1)
+    assert follower.read(10.0) is None
+    assert not follower.absent
+    screen = "\n".join(
+        "".join(text for text, _ in line) for line in Live(trial.name).gone(follower.note, 100, absent=False)
+    )
+    assert "CAN'T READ" in screen
+    assert "NO SERVICE" not in screen
+    assert "failstop run" not in screen
+    assert f"failstop stop --name {trial.name}" in screen
 
 
 def test_there_must_be_one_at_first() -> None:

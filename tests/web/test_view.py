@@ -279,3 +279,11 @@ def test_without_a_service() -> None:
     assert found.keys() == shown(states.state()).keys()
     assert found["word"] == "NO SERVICE"
     assert "POWER SWITCH" in found["next"].upper()
+
+
+def test_a_service_that_can_not_be_read_is_not_said_to_be_absent() -> None:
+    found = view.absent("the supervisor's memory is of another version", gone=False)
+    assert found.keys() == shown(states.state()).keys()
+    assert found["word"] == "CAN'T READ"
+    assert "no service" not in str(found).lower()
+    assert "POWER SWITCH" in found["next"].upper()

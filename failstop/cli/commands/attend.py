@@ -14,7 +14,7 @@ from contextlib import suppress
 import psutil
 
 from failstop.api import verdict
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.robot import Robot
 from failstop.cli import style
 from failstop.cli.commands import add_name
@@ -158,7 +158,8 @@ def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
     try:
         state = robot.state
     except FailstopError as error:
-        return head + style.wrap([(f"{verdict.NO_SERVICE}  ", FAIL), (str(error), STRONG)], columns, 0)
+        word = verdict.NO_SERVICE if isinstance(error, NoService) else verdict.UNREADABLE
+        return head + style.wrap([(f"{word}  ", FAIL), (str(error), STRONG)], columns, 0)
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
         rows += [[], [('this robot needs nobody to attend, because attend.required is "off"', WARN)]]

@@ -113,7 +113,7 @@ def _watch(name: str) -> int:
             if now_s is not None:
                 state, at = follower.read(now_s), dates.now()
                 if state is None:
-                    terminal.draw(live.gone(follower.note, terminal.columns))
+                    terminal.draw(live.gone(follower.note, terminal.columns, absent=follower.absent))
                 else:
                     state, events = dates.dated(state, follower.events, at)
                     size = terminal.columns, terminal.rows
@@ -177,19 +177,21 @@ class Live:
         top = max(top, *(known or 0.0 for known in values))
         return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (spark(values, top, columns - NAMES), role)]
 
-    def gone(self, note: str, columns: int) -> list[Line]:
-        """Return the lines of the screen while no service is running."""
+    def gone(self, note: str, columns: int, *, absent: bool = True) -> list[Line]:
+        """Return the lines of the screen while the state can't be read. `note`: the reason. `absent`: True if no
+        service is running."""
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
             self._title("", columns),
             [],
-            [(f"{verdict.NO_SERVICE}  ", FAIL), (note, STRONG)],
-            [("waiting for it to come back", PLAIN)],
+            [(f"{verdict.NO_SERVICE if absent else verdict.UNREADABLE}  ", FAIL), (note, STRONG)],
+            [("waiting for it to come back" if absent else "the service may be running; trying again", PLAIN)],
             [],
             [("if the wheels turn:  ", PLAIN), (host.stop(self._name), STRONG), (", or the POWER SWITCH", PLAIN)],
-            [("what happened:       ", PLAIN), (told, STRONG)],
-            [("to start it:         ", PLAIN), (host.start(self._name), STRONG)],
         ]
+        if absent:
+            rows.append([("what happened:       ", PLAIN), (told, STRONG)])
+            rows.append([("to start it:         ", PLAIN), (host.start(self._name), STRONG)])
         return summary.wrapped(rows, columns, 0)
 
 
