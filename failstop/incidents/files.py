@@ -68,6 +68,9 @@ _UNEXPECTED = (
 class IncidentError(FailstopError):
     """An incident can't be found, read or written. The message says what is wrong."""
 
+    def __init__(self, text: str) -> None:
+        super().__init__(words.printable(text))  # most messages have the file's path, which anybody may have chosen
+
 
 @contextlib.contextmanager
 def as_written(path: str) -> Iterator[None]:

@@ -123,7 +123,9 @@ def _title(figure: SubFigure, incident: Incident) -> None:
     figure.text(0.03, 0.55, reason, fontsize=min(19, 1300 / len(reason)), fontweight="bold", color=ALARM)
     figure.text(0.03, 0.28, memory.proven(head), fontsize=11)
     when = words.clock(head["t"])
-    figure.text(0.03, 0.06, f"{when}   {head['host']}   service {head['name']}   {incident.id}", color=FAINT)
+    figure.text(
+        0.03, 0.06, f"{when}   {head['host']}   service {head['name']}   {words.printable(incident.id)}", color=FAINT
+    )
 
 
 def _foot(figure: SubFigure, incident: Incident, lines: list[Line], there: set[str]) -> None:

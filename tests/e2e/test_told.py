@@ -115,6 +115,7 @@ def test_a_clock_that_was_set_gives_no_wrong_age_and_hides_nothing(years: int) -
     assert re.search(r"latched since \d\d:\d\d:\d\d, [23]\.\d s ago", simulated.printed("why"))
     assert re.search(r"\(\d\d:\d\d:\d\d, [23]\.\d s ago\)", simulated.printed("status"))
     assert "hand near wheel" in simulated.printed("events", "--since", "1m")
+    assert simulated.printed("events", "--since", "9" * 320 + "d") == simulated.printed("events")
     assert re.search(r"since \d\d:\d\d:\d\d, [23]\.\d s ago", str(simulated.robot.why()))
     assert simulated.printed("events", "--since", "1s", "--kind", "stop") == ""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 from math import tau
 from pathlib import Path
@@ -11,7 +12,8 @@ import pytest
 from failstop import extras
 from failstop.board.kinds import board_of
 from failstop.board.rrc.servos import bus_servo_move
-from failstop.incidents import export, plot, story
+from failstop.cli.screen import incident as screen
+from failstop.incidents import export, files, plot, story
 from failstop.incidents.files import IncidentError
 from failstop.incidents.incident import SILENT, Incident, WriteSort
 from failstop.messages import box, layout
@@ -196,6 +198,19 @@ def test_a_curve_is_broken_where_the_board_was_silent() -> None:
 
 
 @pytest.mark.slow
+def test_a_file_whose_name_is_no_text_is_drawn_and_shown(incident: Incident, tmp_path: Path) -> None:
+    made = copy.copy(incident)
+    made.id = "a\x1b[2J\udcff"
+    pytest.importorskip("matplotlib")
+    plot.save(made, str(tmp_path / "a.svg"), 5.0)
+    assert (tmp_path / "a.svg").stat().st_size
+    title = "".join(text for text, _ in screen.text(made, 100, 0.0)[0])
+    assert title == r"Incident a\x1b[2J\udcff"
+    ((listed, _),) = screen.table([{**made.head, "id": made.id, "clock_jump_s": 0.0}], 100)[0]
+    assert listed == r"a\x1b[2J\udcff"
+    assert str(files.IncidentError("a\x1b[2J")) == r"a\x1b[2J"
+
+
 def test_a_picture_of_next_to_nothing_and_one_that_fails(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     made = Recorder()

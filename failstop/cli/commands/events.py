@@ -8,6 +8,7 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from contextlib import suppress
+from math import isfinite
 
 from failstop.api import words
 from failstop.api.errors import FailstopError, NoService
@@ -121,5 +122,6 @@ def since(text: str, now_ns: int) -> int:
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():
-        return now_ns - round(float(number) * unit_s * 1e9)
+        age_ns = float(number) * unit_s * 1e9
+        return now_ns - round(age_ns) if isfinite(age_ns) else 0
     raise FailstopError(f"--since {text}: give an age, such as 30s, 10m, 2h or 1d")

@@ -98,10 +98,10 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
         from failstop.incidents import plot
 
         plot.save(incident, path, arguments.seconds)
-        return [[(f"wrote {path}", PLAIN)]]
+        return [[(f"wrote {words.printable(path)}", PLAIN)]]
     from failstop.incidents import export
 
-    return [[(f"wrote {path}: {export.save(incident, path)} messages", PLAIN)]]
+    return [[(f"wrote {words.printable(path)}: {export.save(incident, path)} messages", PLAIN)]]
 
 
 def _clock(incident: Incident, name: str) -> str:

@@ -38,7 +38,7 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
-        lines.append([(head["id"], STRONG)])
+        lines.append([(words.printable(head["id"]), STRONG)])
         lines += _wrapped("  ", f"{words.clock(head['t'])}  {head['reason']}", PLAIN, columns)
         lines += _wrapped("  ", memory.proven(head), role, columns)
         if note := files.jumped(head):
@@ -52,7 +52,7 @@ def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False,
     be wrong; empty if they are right."""
     columns = max(columns, NARROWEST)
     return [
-        *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
+        *_facts(f"Incident {words.printable(incident.id)}", _head(incident, now_s, clock), columns),
         [],
         *_story(incident, columns, whole=whole),
         *([[], *_facts("Around it", _around(incident), columns)] if whole else [[(MORE, DIM)]]),
