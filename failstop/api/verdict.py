@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 
 from failstop.api import wheels, words
 from failstop.api.events import Event
-from failstop.api.snapshot import Process, State
+from failstop.api.snapshot import Process, State, Stop
 from failstop.api.wheels import CAN_MOVE as CAN_MOVE
 from failstop.api.wheels import DRIVING as DRIVING
 from failstop.api.wheels import MAY_TURN as MAY_TURN
@@ -159,15 +159,19 @@ def large_word(state: State, events: Sequence[Event] = ()) -> str:
 def _stopped(state: State, seen: str, events: Sequence[Event]) -> str:
     """What is proven about stopped wheels, in a word. `seen`: the word for what is seen. The proofs are those of the
     last latched stop. They do not count if the wheels were stopped later without a latch. Bytes that are still in the
-    kernel prove nothing about the board. An IMU that felt no movement before the stop proves nothing about the
-    wheels."""
+    kernel prove nothing about the board."""
     stop = state.last_stop
     if stop is None or unlatched(state, events):
         return WHEELS_MAY_TURN if state.cause else seen
-    felt = stop.observed_s is not None and (stop.observed_s > 0 or stop.observed_by != "IMU")
-    if stop.acknowledged_s is not None or felt:
+    if stop.acknowledged_s is not None or observed(stop):
         return seen
     return WRITTEN if stop.written_s is not None and stop.sent else WHEELS_MAY_TURN
+
+
+def observed(stop: Stop) -> bool:
+    """True if the wheels were observed to come to rest after this stop, or were already seen still before it. An IMU
+    that felt no movement before the stop proves nothing about the wheels."""
+    return stop.observed_s is not None and (stop.observed_s > 0 or stop.observed_by != "IMU")
 
 
 def unanswered(state: State, events: Sequence[Event] = ()) -> bool:

@@ -2,6 +2,9 @@
 
 The publisher requests a stop from the service before it saves the stop's id. If the publisher crashes in between, the
 robot may obey the stop twice. In the other order, a crash could lose the stop.
+
+A request can also be lost, or its latch can end, because the service is restarted at that moment. So the publisher asks
+the next run of the service too.
 """
 
 from __future__ import annotations
@@ -19,82 +22,141 @@ if TYPE_CHECKING:
 FOLLOWED_S = 6.0
 """How long the robot watches the progress of a stop, in seconds. After this time, no further proofs of the stop are
 expected."""
+OWED_S = 60.0
+"""How long the robot waits for the next run of its service, in seconds, if the run that was asked to stop has ended.
+The next run is then asked too, because a latched stop ends with its run. After this time, only the sender's next repeat
+asks again."""
 AGAIN_EVERY_S = 0.25
-"""The shortest time between two answers to a stop that its sender repeats, in seconds."""
+"""The shortest time between two answers to a stop that its sender repeats, in seconds. Also the shortest time between
+two requests of the same stop."""
 MOST_DUTIES = 32
 UNWRITTEN = "latched but NOT written, so the board did not get it"
+ENDED = "its service has ended since, and the latched stop with it"
 FORGOTTEN = "requested, but then its publisher was restarted, so nobody knows whether the robot stopped"
 
 
 class Duty:
     """One fleet stop that this robot carries out."""
 
-    def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """Make this right after the stop was requested from the service. `now_s`: time.monotonic(). `unix_s`: Unix
-        time. `before`: the service's state before the request, or None if it could not be read."""
-        self.id = order.id
+    def __init__(self, order: Order, now_s: float, before: State | None, run: str) -> None:
+        """Make this right after the stop was requested from the service. `now_s`: time.monotonic(). `before`: the
+        service's state before the request, or None if it could not be read. `run`: the run of the service that has this
+        state, or empty."""
+        self.order = order
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
+        """Why the stop was not written, or what contradicts the levels that it has reached. Otherwise empty."""
         self.confirms = levels.ACKNOWLEDGED
-        self.told_s = now_s
+        self.observes = True
+        """False once it is known that this robot will not observe its wheels after this stop (see observing())."""
+        self.heard = False
+        """True if the service has obeyed the stop."""
+        self.lost = False
+        """True if the run that was asked to stop has ended, and nobody had reset the stop. Its latch has then ended
+        with it, and if it had not obeyed the stop yet, it never will. Also True if it is not known which run was
+        asked, because the state could not be read."""
+        self.told_s = self.asked_s = now_s
         self._since_s = now_s
-        self._unix_s = unix_s
-        self._epoch = before.epoch if before else None
+        self._run = run
+        self._epoch = before.epoch if before else 0
         self._latched = before.cause if before else None
+        self._was_latched = self._reset = False
 
-    def look(self, state: State | None, now_s: float) -> bool:
-        """Find out from the service's state which levels the stop has reached. Returns True if one of them is new.
+    def look(self, state: State | None, now_s: float, run: str) -> bool:
+        """Find out from the service's state which levels the stop has reached, and whether anything contradicts them.
+        Returns True if the robot's answer has changed. `run`: the run that has this state, or empty."""
+        before = self._gist()
+        self.lost = (run != self._run or not run) and not self._reset
+        if self.lost:
+            self.why = ENDED if self._run else ""
+        elif run == self._run and state is not None:
+            self._judge(state, now_s)
+        return self._gist() != before
 
-        If a stop was latched already, the service keeps the proofs of that stop. They count only as long as the present
-        state does not contradict them."""
-        stop = state.last_stop if state else None
-        if state is None or stop is None or not self._answers_it(state, stop):
-            return False
-        is_older = self._epoch is not None and stop.epoch <= self._epoch
-        if is_older and (why := verdict.doubt(state) or verdict.unproven(state)):
-            self.why = why
-            return False
-        turns = state.turning.does == "turning"
-        self.confirms = confirming(state)
+    def _gist(self) -> tuple[object, ...]:
+        """Return the parts of the answer whose change must be reported. The text of `why` may contain a duration, which
+        changes with every look."""
+        return set(self.reached), bool(self.why), self.confirms, self.observes
+
+    def _judge(self, state: State, now_s: float) -> None:
+        """If a stop was latched already, the service keeps the proofs of that stop. They count only as long as the
+        present state does not contradict them."""
+        stop = state.last_stop
+        self._reset = self._reset or (self._was_latched and state.cause is None)
+        if self._reset:
+            self.why = ""  # a person has taken over, so what the wheels do now says nothing about the stop
+        if self._reset or stop is None or not self._answers_it(state, stop):
+            return
+        self.heard = True
+        self._was_latched = self._was_latched or state.cause is not None
+        is_older = stop.epoch <= self._epoch
+        self.why = verdict.doubt(state)
+        if is_older:
+            self.why = self.why or verdict.unproven(state)
+            if self.why:
+                return
+        self.confirms, self.observes = confirming(state, stop), observing(state, stop)
         known = {
             levels.FAILED: stop.written_s is None,
             levels.WRITTEN: stop.written_s is not None and stop.sent and stop.believed,
             levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
-            levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None and not turns,
+            levels.OBSERVED: stop.written_s is not None and _observed(state, stop, is_older=is_older),
         }
-        new = {
-            level: round(now_s - self._since_s, 4) for level, so in known.items() if so and level not in self.reached
-        }
-        self.reached |= new
-        self.why = UNWRITTEN if known[levels.FAILED] else ""
-        return bool(new)
+        for level, so in known.items():
+            if so:
+                self.reached.setdefault(level, round(now_s - self._since_s, 4))
+        self.why = UNWRITTEN if known[levels.FAILED] else self.why
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
         """Return True if the service has obeyed this fleet stop. `stop`: the service's last stop.
 
-        A new stop must have a newer epoch than the service had before the request. If that epoch is not known, the stop
-        must not be older than the request.
+        A new stop must have a newer epoch than the service had before the request.
 
         If a stop was latched already, the service makes no new stop. Then the service's own epoch must be newer than
         before the request.
         """
-        if self._epoch is None:
-            return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
         return stop.epoch > self._epoch or (was_latched and state.epoch > self._epoch)
 
+    def followed(self, now_s: float) -> bool:
+        """Return True while this stop must be looked at."""
+        return now_s - self._since_s <= (OWED_S if self.lost else FOLLOWED_S)
+
     def open(self, now_s: float) -> bool:
-        """Return True until this stop has all its proofs (written, acknowledged, observed), but for at most
-        FOLLOWED_S."""
-        return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
+        """Return True while the answer to this stop will change soon: until the stop has all the proofs that this robot
+        can give, or while it must be requested from the next run."""
+        observed = levels.OBSERVED in self.reached or not self.observes
+        complete = observed and {levels.WRITTEN, levels.ACKNOWLEDGED} <= set(self.reached)
+        return self.followed(now_s) and (self.lost or not complete)
+
+    def owed(self, run: str) -> bool:
+        """Return True if the stop must be requested from this run of the service, because the run that was asked has
+        ended. False after a person has reset the stop."""
+        return run not in ("", self._run) and not self._reset
 
 
-def confirming(state: State) -> str:
-    """Return the level that confirms a fleet stop on this robot. It is ACKNOWLEDGED if the board can answer, else
-    OBSERVED if the robot has an IMU, else WRITTEN."""
-    if state.device.link != LINK_UNASKED:
+def confirming(state: State, stop: Stop) -> str:
+    """Return the level that confirms a fleet stop on this robot. It is ACKNOWLEDGED if the board answers questions, or
+    if it has acknowledged this stop in another way. Otherwise it is OBSERVED if the robot can observe its wheels, else
+    WRITTEN."""
+    if state.device.link != LINK_UNASKED or stop.acknowledged_s is not None:
         return levels.ACKNOWLEDGED
-    return levels.OBSERVED if state.imu else levels.WRITTEN
+    return levels.OBSERVED if observing(state, stop) else levels.WRITTEN
+
+
+def observing(state: State, stop: Stop) -> bool:
+    """Return True if this robot has observed, or may still observe, that its wheels have come to rest after this stop.
+    An IMU can't do that if it felt no motion before the stop either."""
+    if stop.observed_by == "IMU" and state.imu is None:
+        return False
+    return bool(stop.observed_by) and (stop.observed_s is None or verdict.observed(stop))
+
+
+def _observed(state: State, stop: Stop, *, is_older: bool) -> bool:
+    """Return True if the wheels have been observed to be still. After a stop that was latched before the request, they
+    must be seen still now."""
+    does = state.turning.does
+    return verdict.observed(stop) and (does == "still" if is_older else does != "turning")
 
 
 class Duties:
@@ -122,15 +184,32 @@ class Duties:
             self.forged += 1
             self.last_forged = str(error)
             return None, None
-        verdict = self._seen.judge(order.id, order.unix_s, unix_s)
-        if verdict == replay.NEW:
+        judged = self._seen.judge(order.id, order.unix_s, unix_s)
+        if judged == replay.NEW:
             return order, None
-        if verdict == replay.AGAIN:
+        if judged == replay.AGAIN:
+            if self._unheard(order, now_s, unix_s):
+                return order, None
             return None, self._again(order, now_s)
         if now_s - self._refused_s < AGAIN_EVERY_S:
             return None, None
         self._refused_s = now_s
-        return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
+        return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, judged)
+
+    def _unheard(self, order: Order, now_s: float, unix_s: float) -> bool:
+        """Return True if a stop that its sender repeats must be requested once more, because the service may not have
+        heard the first request: nobody reads the stop pipe of a run that is ending. A stop that the service has obeyed
+        is not requested again, because a person may have reset it since. A recorded message has an old date, so it
+        never works a second time."""
+        if not self._seen.repeated(order.id, order.unix_s, unix_s):
+            return False
+        duty = self._duties.get(order.id)
+        if duty is None:  # requested by an earlier run of this program, which did not find out what became of it
+            return True
+        if (duty.heard and not duty.lost) or now_s - duty.asked_s < AGAIN_EVERY_S:
+            return False
+        duty.asked_s = now_s
+        return True
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
         """Return the answer to a stop that its sender repeats. None if the last answer was sent less than AGAIN_EVERY_S
@@ -148,35 +227,45 @@ class Duties:
         requested again."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
-    def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """Start to watch the progress of a stop that was requested at `now_s`. `before`: the service's state before the
-        request."""
+    def begin(self, order: Order, now_s: float, unix_s: float, before: State | None, run: str) -> None:
+        """Start to watch the progress of a stop that was requested at `now_s`, perhaps not for the first time.
+        `before`: the service's state before the request. `run`: the run of the service that has this state, or empty if
+        it could not be read."""
         self._seen.obeyed(order.id, order.unix_s, unix_s)
-        duty = self._duties[order.id] = Duty(order, now_s, unix_s, before)
-        self._followed = [*self._followed, duty][-MOST_DUTIES:]
+        others = [duty for duty in self._followed if duty.order.id != order.id]
+        duty = self._duties[order.id] = Duty(order, now_s, before, run)
+        self._followed = [*others, duty][-MOST_DUTIES:]
         while len(self._duties) > MOST_DUTIES:
             del self._duties[next(iter(self._duties))]
         self._new.append(order.id)
 
-    def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """Return the answers that must be sent now: one for each stop that has a new level or was not answered yet. An
-        answer has all levels that are known so far."""
+    def owed(self, now_s: float, run: str) -> list[Order]:
+        """Return the stops that must be requested from this run of the service, because the run that was asked has
+        ended (see Duty.owed()). Call this before look()."""
+        return [duty.order for duty in self._kept(now_s) if duty.owed(run)]
+
+    def look(self, state: State | None, now_s: float, run: str) -> list[StopAnswer]:
+        """Return the answers that must be sent now: one for each stop whose answer has changed, or that was not
+        answered yet. An answer has all levels that are known so far. `run`: the run of the service that has this state,
+        or empty."""
         new, self._new = self._new, []
-        changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
+        changed = [duty for duty in self._kept(now_s) if duty.look(state, now_s, run) or duty.order.id in new]
         return [self._answer(duty, now_s) for duty in changed]
 
     def _answer(self, duty: Duty, now_s: float) -> StopAnswer:
         duty.told_s = now_s
-        return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
+        found = dict(duty.reached), duty.why, duty.confirms
+        return StopAnswer(duty.order.id, self._robot, *found, observes=duty.observes)
 
     def busy(self, now_s: float) -> bool:
         """Return True while this robot watches the progress of any stop (see Duty.open())."""
-        return bool(self._open(now_s))
+        return any(duty.open(now_s) for duty in self._kept(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """Return True while a stop has not reached the level that confirms it on this robot."""
-        return any(duty.confirms not in duty.reached for duty in self._open(now_s))
+        """Return True while a stop has not reached the level that confirms it on this robot, and its run lives."""
+        kept = self._kept(now_s)
+        return any(duty.open(now_s) and not duty.lost and duty.confirms not in duty.reached for duty in kept)
 
-    def _open(self, now_s: float) -> list[Duty]:
-        self._followed = [duty for duty in self._followed if duty.open(now_s)]
+    def _kept(self, now_s: float) -> list[Duty]:
+        self._followed = [duty for duty in self._followed if duty.followed(now_s)]
         return self._followed

@@ -65,7 +65,8 @@ class StopAnswer:
     """All levels that the stop has reached on this robot. The value of a level is the time in seconds from the request
     until the robot's publisher saw that the level was reached."""
     why: str = ""
-    """Why the stop was refused or has failed. Otherwise empty."""
+    """Why the stop was refused or has failed, or what contradicts the levels in `reached`, for example that the wheels
+    turn. Otherwise empty."""
     confirms: str = ACKNOWLEDGED
     """The level that confirms the stop on this robot (see duties.confirming())."""
     publisher: str = ""
@@ -76,11 +77,14 @@ class StopAnswer:
     connected_s: float = 0.0
     """How long the publisher has been connected to the broker, s. The broker has been running for at least that
     long."""
+    observes: bool = False
+    """True if the robot has observed, or may still observe, that its wheels have come to rest (see
+    duties.observing())."""
 
     def message(self, key: bytes) -> bytes:
         """Return the signed message."""
         body: dict[str, Any] = {"id": self.id, "robot": self.robot, "reached": self.reached}
-        body |= {"why": self.why, "confirms": self.confirms}
+        body |= {"why": self.why, "confirms": self.confirms, "observes": self.observes}
         body |= {"publisher": self.publisher, "doubled": self.doubled, "connected_s": self.connected_s}
         return signed.sign(key, signed.ANSWER_PURPOSE, body)
 
@@ -105,6 +109,7 @@ def read_answer(key: bytes, message: bytes) -> StopAnswer:
         number_of(body.get("publisher")),
         body.get("doubled", False) is not False,
         connected_s if 0.0 <= connected_s < math.inf else 0.0,
+        body.get("observes") is True,
     )
 
 

@@ -34,11 +34,14 @@ if TYPE_CHECKING:
 
     from failstop.api.events import Event
     from failstop.api.state import State
-    from failstop.fleet.levels import StopAnswer
+    from failstop.fleet.levels import Order, StopAnswer
     from failstop.fleet.settings import FleetSettings
 
     class Robot(Protocol):
         """The robot's service, as the publisher uses it."""
+
+        run: str
+        """Identifies the run of the service that the last read() has read. Empty if there was none."""
 
         def read(self) -> tuple[State | None, str]: ...
         def events(self) -> list[Event]: ...
@@ -77,6 +80,8 @@ class Service:
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.run = ""
+        """Identifies the run of the service that the last read() has read. Empty if there was none."""
         self._reader: StateReader | None = None
         self._log: EventLog | None = None
         self._log_ended = ""
@@ -90,9 +95,11 @@ class Service:
             try:
                 if self._reader is None or self._reader.over():
                     self._reader = StateReader(self.name)
-                return self._reader.read(), ""
+                state, self.run = self._reader.read(), self._reader.found[0]
+                return state, ""
             except FailstopError as error:
                 self._reader, note = None, str(error)
+        self.run = ""
         return None, note
 
     def events(self) -> list[Event]:
@@ -191,7 +198,11 @@ class Publisher:
             self._will()
         busy = self.busy(now_s)
         state, note = self._robot.read()
-        for answer in self.duties.look(state, now_s):
+        run = self._robot.run
+        for order in self.duties.owed(now_s, run):
+            if not self._ask(order, state, run, now_s, time.time()):
+                _log(order, "asked for again, because the service was restarted")
+        for answer in self.duties.look(state, now_s, run):
             self._answer(answer)
         self._look_at_s = now_s + (self._soon_s(now_s) if busy else LOOK_S)
         if busy and now_s - self._built_s < BUSY_STATE_S:
@@ -321,15 +332,23 @@ class Publisher:
             state, _ = self._robot.read()
             if not self.busy(now_s):
                 self._built_s = now_s
-            if problem := self._robot.stop(order.reason, order.by):
+            if problem := self._ask(order, state, self._robot.run, now_s, unix_s):
                 answer = self.duties.failed(order, problem)
             else:
-                self.duties.begin(order, now_s, unix_s, state)
-                self._look_at_s, self.unsaved = now_s + FIRST_LOOK_S, True
-            standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {problem or 'asked for'}")
+                self._look_at_s = now_s + FIRST_LOOK_S
+            _log(order, problem or "asked for")
         if answer:
             self._answer(answer)
         self._note_forged(now_s)
+
+    def _ask(self, order: Order, state: State | None, run: str, now_s: float, unix_s: float) -> str:
+        """Request a stop from the service. Returns an error text, or "". `state`, `run`: as the last read() found
+        them."""
+        if problem := self._robot.stop(order.reason, order.by):
+            return problem
+        self.duties.begin(order, now_s, unix_s, state, run)
+        self.unsaved = True
+        return ""
 
     def _note_forged(self, now_s: float) -> None:
         if self.duties.forged > self._said_forged:
@@ -358,6 +377,10 @@ class Publisher:
             standard.say(
                 f"{self._store} can't be written ({error.strerror}), so a restart forgets which stops were obeyed"
             )
+
+
+def _log(order: Order, outcome: str) -> None:
+    standard.say(f"fleet stop by {order.by}: {order.reason or 'no reason given'}: {outcome}")
 
 
 def _key(settings: FleetSettings) -> tuple[bytes, str]:

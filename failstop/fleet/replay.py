@@ -53,6 +53,12 @@ class Seen:
             return "older than a stop that was obeyed already: this robot's clock was set back"
         return NEW
 
+    def repeated(self, stop_id: str, dated_s: float, now_s: float) -> bool:
+        """Return True if this is a later sending of a stop that was obeyed already. The sender signs each sending with
+        a new date, so a recorded message is not newer than the one that was obeyed, or it is soon too old."""
+        known_s = self._ids.get(stop_id)
+        return known_s is not None and dated_s > known_s and abs(dated_s - now_s) <= self._tolerance_s
+
     def obeyed(self, stop_id: str, dated_s: float, now_s: float) -> None:
         """Note that a stop was obeyed. If its id was noted before, the newer date counts."""
         self._ids[stop_id] = max(dated_s, self._ids.get(stop_id, dated_s))

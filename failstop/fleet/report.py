@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.cli import style
-from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG
+from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
 from failstop.fleet import levels
 
 TYPE_CHECKING = False
@@ -39,7 +39,8 @@ def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> 
         found.append([(f"  {level:<13}", PLAIN), (f"{len(times_s)} of {total}", STRONG), (slowest, DIM)])
     for robot, level in tally.confirmed_by().items():
         if level != levels.ACKNOWLEDGED:
-            found.append([(f"  {_name(robot)} confirms as {level}, because its board can't acknowledge", DIM)])
+            found.append([(f"  {_name(robot)} confirms as {level}, because its board can't answer", DIM)])
+    found += [[(f"  {_name(robot)} has not observed that its wheels are still", WARN)] for robot in tally.unobserved()]
     if missing:
         found.append([("NOT confirmed, so go and look, or use the POWER SWITCH:", FAIL)])
         found += style.table([[("", PLAIN), (_name(row.robot), STRONG), (row.why, PLAIN)] for row in missing])
@@ -85,6 +86,7 @@ def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
         "confirmed": len(robots) - len(missing),
         "robots": len(robots),
         "confirmed_by": tally.confirmed_by(),
+        "unobserved": tally.unobserved(),
         "missing": missing,
         "doubts": list(doubts),
         "complete": bool(robots) and not missing and not doubts,

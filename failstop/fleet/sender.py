@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long the sender waits until all robots have seen that their wheels are still, s. This time begins when all robots
-have confirmed the stop."""
+"""How long the sender waits until all robots that can observe their wheels have seen that they are still, s. This time
+begins when all robots have confirmed the stop. It is longer than the setting still.after_s, after which a robot reports
+that its wheels still turn."""
 WAIT_S = 5.0
 """How long to wait for robots that have not confirmed, s, if --wait is not given."""
 TURN_S = 0.05
@@ -84,7 +85,7 @@ class Sender:
                 else:
                     confirmed_s = now_s if confirmed_s is None else confirmed_s
                     late = bool(self._late(now_s))
-                    observed = self.tally.all_reached(levels.OBSERVED) or now_s - confirmed_s >= OBSERVED_S
+                    observed = not self.tally.unobserved() or now_s - confirmed_s >= OBSERVED_S
                     if observed and not late:
                         break
                     if late and wait_s is None:
@@ -158,17 +159,17 @@ class Sender:
 
         - The stop is sent for the first time.
         - More than MANY robots are missing, and more than half of all robots.
-        - The broker may know more robots than it has named.
+        - The broker may know more robots than it has named, or it hides robots. It may hide one if a robot answered, or
+          is listed in stop.robots_file, and the broker never named that robot.
         """
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)
-        missing = [row.robot for row in self.tally.missing()]
-        most = len(missing) > max(MANY, len(self.tally.robots()) // 2)
-        some = self.sent_s is not None and self.heard_all and not most
-        if not missing and self.tally.hidden():
-            some = False  # the broker hides robots, so send it to all
-        self._repeats.sent(now_s, len(missing))
+        missing, robots = [row.robot for row in self.tally.missing()], self.tally.robots()
+        most = len(missing) > max(MANY, len(robots) // 2)
+        hides = bool(self.tally.hidden() or self.tally.unnamed())
+        some = self.sent_s is not None and self.heard_all and not most and not hides
+        self._repeats.sent(now_s, len(missing if some else robots))  # a robot that has confirmed answers again too
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
             self.broker.say(topics.stop(self._fleet, robot), message)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 UNCONFIRMED = {
     levels.WRITTEN: "asked, but as far as it knows not written",
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
-    levels.OBSERVED: "written, but its IMU has not observed that the wheels have stopped",
+    levels.OBSERVED: "written, but it has not observed that its wheels have stopped",
 }
 """For each level that can confirm a stop, the text about a robot that has not reached it."""
 TAKEN_OFF = "TAKEN OFF"
@@ -59,11 +59,15 @@ class Tally:
         publisher that has reported this state. A robot stays in the dict even if its message is removed from the
         broker."""
         self._answers: dict[str, dict[str, float]] = {}
+        """For each robot, the levels in its newest answer. The value of a level is the time at which the robot first
+        reported it, since when every answer has had it."""
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
         """For each robot, the level that confirms its stop, as the robot has reported it."""
+        self._observes: set[str] = set()
+        """Robots that have observed, or may still observe, that their wheels have come to rest."""
         self._reached_it: set[str] = set()
-        """Robots that have reached the level that confirms their stop."""
+        """Robots whose newest answer has the level that confirms their stop, and nothing that contradicts it."""
         self._barred: dict[str, str] = {}
         """Robots that can't count as confirmed, each with the reason."""
         self._publishers: dict[str, set[str]] = {}
@@ -72,7 +76,6 @@ class Tally:
         """Robots whose publishers report that another publisher uses the same name."""
         self._since_s: dict[str, float] = {}
         """When each robot's connection to the broker began, computed from the robot's newest answer."""
-        self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str, publisher: str = "") -> None:
         """Note a robot's connection, as the broker reports it. `publisher`: the number of the robot's publisher. An
@@ -87,20 +90,22 @@ class Tally:
 
     def answer(self, answer: StopAnswer, after_s: float) -> bool:
         """Note a robot's answer, which arrived at `after_s`. Returns True if it has a level that is new for this
-        robot."""
-        told = self._answers.setdefault(answer.robot, {})
+        robot. Only the robot's newest answer counts, because the robot may see its wheels turn after it has
+        confirmed."""
+        told = self._answers.get(answer.robot, {})
         new = [level for level in answer.reached if level not in told]
-        for level in new:
-            told[level] = after_s
-            self._counts[level] = self._counts.get(level, 0) + 1
+        self._answers[answer.robot] = {level: told.get(level, after_s) for level in answer.reached}
         self._whys[answer.robot] = answer.why
         self._confirms[answer.robot] = answer.confirms
         self._publishers.setdefault(answer.robot, set()).add(answer.publisher)
         self._since_s[answer.robot] = after_s - answer.connected_s
         if answer.doubled:
             self._doubled.add(answer.robot)
-        if answer.confirms in told:
-            self._reached_it.add(answer.robot)
+        for robots, so in (
+            (self._observes, answer.observes),
+            (self._reached_it, answer.confirms in answer.reached and not answer.why),
+        ):
+            (robots.add if so else robots.discard)(answer.robot)
         self._judge(answer.robot)
         return bool(new)
 
@@ -141,12 +146,15 @@ class Tally:
         _judge())."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
-    def all_reached(self, level: str) -> bool:
-        """Return True if every robot has reported this level. False if no robot is known."""
-        if self._counts.get(level, 0) < max(1, len(self._answers)):
-            return False  # a quick test, because this is called after each answer
-        robots = self.robots()
-        return bool(robots) and self.reached(level) == robots
+    def unobserved(self) -> list[str]:
+        """Return the robots that have confirmed the stop and can observe their wheels, but have not observed that they
+        are still."""
+        observed = {robot for robot, told in self._answers.items() if levels.OBSERVED in told}
+        return sorted((self._reached_it & self._observes) - self._barred.keys() - observed)
+
+    def unnamed(self) -> list[str]:
+        """Return the robots in the file stop.robots_file that the broker never named. The broker may hide them."""
+        return sorted(self._listed - self._connections.keys())
 
     def times_s(self, level: str) -> list[float]:
         """Return the times at which robots reported this level, the earliest first."""
@@ -182,12 +190,11 @@ class Tally:
     def _why(self, robot: str) -> str:
         if barred := self._barred.get(robot):
             return barred
-        told = self._answers.get(robot, {})
-        if levels.WRITTEN in told:
-            return UNCONFIRMED[self._confirms[robot]]
+        told, why = self._answers.get(robot, {}), self._whys.get(robot, "")
+        if proofs := [level for level in levels.PROOFS if level in told]:
+            return f"{proofs[-1]}, but: {why}" if why else UNCONFIRMED[self._confirms[robot]]
         for level in (levels.FAILED, levels.REFUSED, levels.ASKED):
             if level in told:
-                why = self._whys[robot]
                 return f"{level}: {why}" if why else UNCONFIRMED[levels.WRITTEN]
         connection, _ = self._connections.get(robot, ("", ""))
         if connection == message.ONLINE:

@@ -33,6 +33,7 @@ class Pretended:
     """A robot without a service; its state changes now and then, and a stop gets its proofs as a real one does."""
 
     def __init__(self, number: int) -> None:
+        self.run = "run 1"
         self._asked_s = 0.0
         self._driving = bool(number % 3)
         process = Process(1, "running", 0.005, 0, None, 0.02, realtime=True, memory_locked=True)

@@ -21,6 +21,7 @@ from failstop.fleet.broker import Broker
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
+from failstop.fleet.tally import Tally
 from failstop.policy import causes
 from failstop_lab.trial import wait_for
 from tests.support import states
@@ -92,9 +93,15 @@ class Pretended:
     """A robot without a service: it is stopped by being asked to, with all proofs at once, unless told otherwise."""
 
     def __init__(self, state: State | None = None) -> None:
+        self.run = "run 1"
         self.state: State | None = state or states.driving()
         self.asked: list[tuple[str, str]] = []
-        self.proofs: dict[str, Any] = {"written_s": 2e-4, "acknowledged_s": 4e-3, "observed_s": 0.0}
+        self.proofs: dict[str, Any] = {
+            "written_s": 2e-4,
+            "acknowledged_s": 4e-3,
+            "observed_s": 0.3,
+            "observed_by": "wheels",
+        }
         self.told: list[Event] = []
         self.problem = ""
 
@@ -143,6 +150,11 @@ class Listener:
 
     def turn(self, longest_s: float) -> None:
         self.broker.turn(longest_s)
+
+
+def everywhere(tally: Tally, level: str) -> bool:
+    """Whether every robot has reached this level, and there is one."""
+    return bool(tally.robots()) and tally.reached(level) == tally.robots()
 
 
 def pump(what: str, until: Callable[[], object], *turning: Publisher | Listener | Broker) -> None:

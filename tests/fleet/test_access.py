@@ -18,7 +18,7 @@ from failstop.fleet.sender import Sender
 from tests.support.commands import failstop
 from tests.support.pages import ROOT
 
-from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump, stop_all
+from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, everywhere, mosquitto, pump, stop_all
 
 PASSWORDS = shutil.which("mosquitto_passwd")
 PLUGIN = next(iter(Path("/usr/lib").glob("*/mosquitto_dynamic_security.so")), None)
@@ -72,7 +72,7 @@ def test_with_the_page_s_access_list_a_fleet_stop_reaches_every_robot(guarded: M
         for each in robots:
             each.turn(0.005)
     assert sender.tally.robots() == ["r1", "r2"]
-    assert sender.tally.all_reached(levels.ACKNOWLEDGED)
+    assert everywhere(sender.tally, levels.ACKNOWLEDGED)
     for each in robots:
         each.broker.close()
 

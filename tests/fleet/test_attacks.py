@@ -24,7 +24,7 @@ from tests.support import states
 
 from . import scene
 from .conftest import Enrol, fleet_name
-from .scene import Listener, Mosquitto, Pretended, Robot, pump
+from .scene import Listener, Mosquitto, Pretended, Robot, everywhere, pump
 
 STOP_ID = "f" * 32
 
@@ -66,7 +66,7 @@ def test_all_confirm(enrol: Enrol, settings: FleetSettings) -> None:
     robots = [Pretended() for _ in range(3)]
     publishers = [enrol(f"r{number}", robot) for number, robot in enumerate(robots)]
     tally = stop_all(settings, *publishers)
-    assert tally.all_reached(levels.OBSERVED)
+    assert everywhere(tally, levels.OBSERVED)
     assert tally.robots() == ["r0", "r1", "r2"]
     assert [robot.asked for robot in robots] == [[("smoke", "ann")]] * 3, "once, however often it was sent"
 
@@ -142,7 +142,7 @@ def test_nonsense(enrol: Enrol, listener: Listener, settings: FleetSettings, pay
     publisher = enrol(robot=robot)
     arrived(publisher, listener, topics.stop(settings.text("robot.fleet")), payload)
     assert robot.asked == []
-    assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
+    assert everywhere(stop_all(settings, publisher), levels.OBSERVED), "and a genuine one is obeyed"
 
 
 def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSettings) -> None:
@@ -170,7 +170,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
         ended.set()
         flooding.join()
         flooder.broker.close()
-    assert tally.all_reached(levels.OBSERVED)
+    assert everywhere(tally, levels.OBSERVED)
     assert len(robot.asked) == 1
 
 
@@ -193,7 +193,7 @@ def test_a_message_of_twenty_megabytes(enrol: Enrol, listener: Listener, setting
     listener.broker.say(topics.stop(settings.text("robot.fleet")), bytes(20_000_000), qos=0)
     pump("it to be skipped", lambda: wire.skipped, publisher, listener)
     assert publisher.broker.client.wire is wire, "on the same connection"
-    assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
+    assert everywhere(stop_all(settings, publisher), levels.OBSERVED), "and a genuine one is obeyed"
 
 
 def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: FleetSettings, tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ def test_the_broker_goes_and_comes_back(enrol: Enrol, settings: FleetSettings, b
     broker.start()
     while running.is_alive():
         publisher.turn(0.005)
-    assert sender.tally.all_reached(levels.OBSERVED)
+    assert everywhere(sender.tally, levels.OBSERVED)
     assert len(robot.asked) == 1
 
 
@@ -297,7 +297,7 @@ def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
     robot = Pretended()
     publisher = enrol(robot=robot)
     (tmp_path / "r1").rename(tmp_path / "away")
-    assert stop_all(settings, publisher).all_reached(levels.OBSERVED)
+    assert everywhere(stop_all(settings, publisher), levels.OBSERVED)
     pump("the complaint", lambda: not publisher.unsaved, publisher)
     assert "a restart forgets which stops were obeyed" in " ".join(capsys.readouterr().err.split())
 
@@ -338,7 +338,7 @@ def test_a_damaged_store_keeps_nobody_from_stopping(
     (tmp_path / "r1").mkdir()
     (tmp_path / "r1" / "fleet-stops.json").write_bytes(data)
     robot = Pretended()
-    assert stop_all(settings, enrol(robot=robot)).all_reached(levels.OBSERVED)
+    assert everywhere(stop_all(settings, enrol(robot=robot)), levels.OBSERVED)
     assert len(robot.asked) == 1
 
 
@@ -351,5 +351,5 @@ def test_two_senders_at_once(enrol: Enrol, settings: FleetSettings) -> None:
         thread.start()
     while any(thread.is_alive() for thread in threads):
         publisher.turn(0.005)
-    assert all(sender.tally.all_reached(levels.ACKNOWLEDGED) for sender in senders)
+    assert all(everywhere(sender.tally, levels.ACKNOWLEDGED) for sender in senders)
     assert len(robot.asked) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -14,8 +15,9 @@ from typing import Any
 
 import pytest
 
+from failstop import Robot
 from failstop.api.events import Event
-from failstop.fleet import levels, repeats, sender, signed, topics
+from failstop.fleet import levels, message, repeats, sender, signed, topics
 from failstop.fleet.levels import StopAnswer
 from failstop.policy import causes
 from failstop_lab.trial import Trial
@@ -136,24 +138,33 @@ def trial() -> Iterator[Trial]:
 
 
 @pytest.fixture
-def published(
-    trial: Trial, broker: Mosquitto, key: str, tmp_path: Path, listener: Listener, request: pytest.FixtureRequest
-) -> Any:
-    """`failstop fleet publish` beside a real service; gives the process and its options."""
+def options(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRequest) -> tuple[str, str]:
+    """The options of every command of this test's fleet."""
     config = tmp_path / "fleet.toml"
     config.write_text(
         f"[broker]\nport = {broker.port}\nkeepalive_s = 2\n[robot]\nfleet = '{fleet_name(request)}'\nid = 'real'\n"
         f"publish_s = 0.5\n[stop]\nkey_file = '{key}'\n"
     )
-    options = ("--config", str(config))
-    with subprocess.Popen(
-        [*FAILSTOP, "fleet", "publish", "--name", trial.name, *options], stderr=subprocess.PIPE
-    ) as process:
+    return "--config", str(config)
+
+
+@contextlib.contextmanager
+def publishing(name: str, options: tuple[str, str], listener: Listener) -> Iterator[subprocess.Popen[bytes]]:
+    """`failstop fleet publish` beside a real service."""
+    words = [*FAILSTOP, "fleet", "publish", "--name", name, *options]
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
         try:
             pump("the robot", lambda: word(listener), listener)
-            yield process, options
+            yield process
         finally:
             process.kill()
+
+
+@pytest.fixture
+def published(trial: Trial, options: tuple[str, str], listener: Listener) -> Any:
+    """The publisher of a real service; gives the process and its options."""
+    with publishing(trial.name, options, listener) as process:
+        yield process, options
 
 
 def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
@@ -182,6 +193,44 @@ def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
     process.send_signal(signal.SIGTERM)
     assert process.wait(10) == 0
     pump("offline", lambda: said(listener, "connection")["connection"] == "offline", listener)
+
+
+def test_a_robot_whose_wheels_turn_on_after_it_has_confirmed_is_not_stopped(trial: Trial, published: Any) -> None:
+    """Its board acknowledges the stop and does not obey it."""
+    _, options = published
+    trial.robot.reset()
+    trial.enable()
+    trial.drive(1.0)
+    trial.board.refuse_stop(True)
+    with subprocess.Popen([*FAILSTOP, "fleet", "stop", "--json", *options], stdout=subprocess.PIPE) as done:
+        while done.poll() is None:
+            trial.drive(0.1)
+        assert done.stdout is not None
+        found = json.load(done.stdout)
+    trial.board.refuse_stop(False)
+    assert (done.returncode, found["complete"]) == (1, False)
+    assert found["acknowledged"]["robots"] == [f"real-{trial.name}"]
+    [why] = found["missing"].values()
+    assert why.startswith("acknowledged, but: the robot moves")
+
+
+def test_a_stop_that_a_dying_service_does_not_hear_reaches_the_next_run(
+    options: tuple[str, str], listener: Listener
+) -> None:
+    """Its stop pipe can still be written, but nobody reads it."""
+    with Trial(f"fleet-dies-{os.getpid()}") as running, publishing(running.name, options, listener):
+        service = running.service.process
+        assert service is not None
+        service.send_signal(signal.SIGSTOP)
+        command = [*FAILSTOP, "fleet", "stop", "smoke", "--by", "ann", "--wait", "60", *options]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as done:
+            pump("the request", lambda: [topic for topic, _ in listener.all if "/answer/" in topic], listener)
+            service.kill()
+            service.wait()
+            running.service.start()
+            assert done.wait(60) == 0
+        with Robot(running.name, client="test") as robot:
+            assert robot.state.cause == causes.FLEET("smoke", "ann")
 
 
 def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, listener: Listener) -> None:
@@ -214,6 +263,11 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     listed = tmp_path / "robots"
     listed.write_text("\n".join(names))
     found = broker.settings(stop__key_file=key, robot__fleet=fleet_name(request), stop__robots_file=str(listed))
+    for name in names:
+        header = message.Header(fleet_name(request), name, "a" * 16)
+        whole = header.message(topics.CONNECTION, message.connection(message.ONLINE), time.time())
+        listener.broker.say(header.topic(topics.CONNECTION), whole, qos=0, retain=True)
+    pump("their connections", lambda: len(listener.last) == len(names), listener)
     asking = sender.Sender(found, "smoke", "ann")
     first = topics.stop(fleet_name(request))
     pump("the stop", lambda: first in listener.last, asking.broker, listener)
@@ -229,3 +283,27 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     told = [topic.rpartition("/")[2] for topic, _ in listener.all if topic.startswith(f"{first}/")]
     assert sorted(set(told)) == sorted(names[some:])
     assert [topic for topic, _ in listener.all].count(first) == 1
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_while_the_broker_may_hide_robots_a_repeated_stop_goes_to_all(
+    answers: bool, broker: Mosquitto, key: str, listener: Listener, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """A robot that nobody lists may be hidden, and may have come since the first sending."""
+    listed = tmp_path / "robots"
+    listed.write_text("r1")
+    found = broker.settings(stop__key_file=key, robot__fleet=fleet_name(request), stop__robots_file=str(listed))
+    asking = sender.Sender(found, "smoke", "ann")
+    first = topics.stop(fleet_name(request))
+    pump("the stop", lambda: first in listener.last and asking.heard_all, asking.broker, listener)
+    if answers:
+        listener.broker.say(
+            topics.answer(fleet_name(request), asking.id, "r2"),
+            StopAnswer(asking.id, "r2", {levels.ASKED: 0.0}, publisher="a" * 16).message(signed.read_key(key)),
+        )
+        pump("the answer", asking.tally.hidden, asking.broker, listener)
+    listener.last.clear()
+    asking._send(time.monotonic())
+    pump("the stop", lambda: listener.last, asking.broker, listener)
+    asking.broker.close()
+    assert list(listener.last) == [first]

@@ -16,15 +16,14 @@ FIRST, SECOND = "a" * 16, "b" * 16
 """Numbers of publishers."""
 
 
-def answer(robot: str, level: str, **changed: Any) -> StopAnswer:
+def answer(robot: str, *told: str, **changed: Any) -> StopAnswer:
     """Of a publisher that has been connected for long."""
     given = {"publisher": FIRST, "connected_s": 100.0, **changed}
-    return StopAnswer(STOP_ID, robot, {level: 0.0}, **given)
+    return StopAnswer(STOP_ID, robot, dict.fromkeys(told, 0.0), **given)
 
 
-def say(tally: Tally, robot: str, *told: str, why: str = "", after_s: float = 0.1) -> None:
-    for level in told:
-        tally.answer(answer(robot, level, why=why), after_s)
+def say(tally: Tally, robot: str, *told: str, after_s: float = 0.1, **changed: Any) -> None:
+    tally.answer(answer(robot, *told, **changed), after_s)
 
 
 def connected(*robots: str, expected: frozenset[str] | None = None) -> Tally:
@@ -40,7 +39,7 @@ def text(tally: Tally) -> str:
 
 def test_nobody_is_known() -> None:
     tally = Tally(None)
-    assert not tally.all_reached(levels.WRITTEN)
+    assert tally.reached(levels.WRITTEN) == []
     assert not tally.all_confirmed()
     assert "This broker knows NO ROBOT" in text(tally)
 
@@ -88,7 +87,7 @@ def test_a_list_adds_to_those_whom_the_broker_knows() -> None:
     for robot in ("b", "stranger"):
         assert not tally.all_confirmed()
         say(tally, robot, *levels.PROOFS)
-    assert tally.all_reached(levels.ACKNOWLEDGED)
+    assert tally.reached(levels.ACKNOWLEDGED) == tally.robots()
     assert tally.all_confirmed()
 
 
@@ -214,19 +213,64 @@ def test_the_first_time_of_a_level_counts() -> None:
     assert tally.times_s(levels.WRITTEN) == [0.2]
 
 
+def test_a_robot_that_contradicts_what_it_confirmed_is_missing_until_it_takes_that_back() -> None:
+    tally = connected("a", "b")
+    both = (levels.ASKED, levels.WRITTEN, levels.ACKNOWLEDGED)
+    say(tally, "a", *both)
+    say(tally, "b", *both)
+    assert tally.all_confirmed()
+    say(tally, "a", *both, why="the wheels turn")
+    assert not tally.all_confirmed()
+    assert [(row.robot, row.why) for row in tally.missing()] == [("a", "acknowledged, but: the wheels turn")]
+    assert text(tally).startswith("1 of 2 robots have confirmed the stop\n")
+    assert report.as_dict(tally)["complete"] is False
+    say(tally, "a", *both)
+    assert tally.all_confirmed()
+
+
+def test_a_level_that_the_newest_answer_no_longer_has_does_not_count() -> None:
+    """The robot's service was restarted, and its next run has not proved anything yet."""
+    tally = connected("a")
+    say(tally, "a", levels.ASKED, *levels.PROOFS)
+    say(tally, "a", levels.ASKED, after_s=2.0)
+    assert not tally.all_confirmed()
+    assert tally.reached(levels.OBSERVED) == []
+    assert [row.why for row in tally.missing()] == ["asked, but as far as it knows not written"]
+    say(tally, "a", levels.ASKED, *levels.PROOFS, after_s=3.0)
+    assert tally.all_confirmed()
+    assert tally.times_s(levels.WRITTEN) == [3.0]
+
+
+def test_a_robot_that_could_observe_its_wheels_and_has_not_is_named() -> None:
+    tally = connected("a", "b", "c")
+    for robot, levels_too, observes in (("a", (levels.OBSERVED,), True), ("b", (), True), ("c", (), False)):
+        say(tally, robot, levels.WRITTEN, levels.ACKNOWLEDGED, *levels_too, observes=observes)
+    assert tally.all_confirmed()
+    assert tally.unobserved() == ["b"]
+    assert "  b has not observed that its wheels are still\n" in text(tally)
+    assert report.as_dict(tally)["unobserved"] == ["b"]
+
+
+def test_a_listed_robot_that_the_broker_never_named_may_be_hidden() -> None:
+    tally = connected("a", expected=frozenset({"a", "b"}))
+    assert tally.unnamed() == ["b"]
+    tally.connection("b", "lost", FIRST)
+    assert tally.unnamed() == []
+
+
 def test_a_robot_confirms_by_what_its_board_can_give() -> None:
     tally = connected("a", "b", "c")
     for robot, confirms in (("a", levels.ACKNOWLEDGED), ("b", levels.OBSERVED), ("c", levels.WRITTEN)):
         tally.answer(answer(robot, levels.WRITTEN, confirms=confirms), 0.1)
     assert {row.robot: row.why for row in tally.missing()} == {
         "a": "written, but its board has not acknowledged it",
-        "b": "written, but its IMU has not observed that the wheels have stopped",
+        "b": "written, but it has not observed that its wheels have stopped",
     }
     assert not tally.all_confirmed()
     tally.answer(answer("a", levels.ACKNOWLEDGED), 0.2)
     tally.answer(answer("b", levels.OBSERVED, confirms=levels.OBSERVED), 0.2)
     assert tally.all_confirmed()
     assert text(tally).startswith("3 of 3 robots have confirmed the stop\n")
-    assert "c confirms as written, because its board can't acknowledge" in text(tally)
+    assert "c confirms as written, because its board can't answer" in text(tally)
     by = {"a": levels.ACKNOWLEDGED, "b": levels.OBSERVED, "c": levels.WRITTEN}
     assert report.as_dict(tally)["confirmed_by"] == by
