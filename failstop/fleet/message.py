@@ -87,7 +87,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
     if state is None:
         error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
         words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
-        return {**words, "moves": False, "errors": [error, *extra]}
+        return {**words, "errors": [error, *extra]}
     found = {
         "word": verdict.word(state),
         "why": why(state),
@@ -107,7 +107,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 def steady(found: Message) -> Message:
     """Return a state message without the fields that change often, such as velocity, wheels and battery."""
-    changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
+    changing = ("velocity", "battery", "wheels", *(("why",) if found.get("moves") else ()))
     return {key: value for key, value in found.items() if key not in changing}
 
 
@@ -132,9 +132,11 @@ def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 
 def _battery(state: State) -> Message:
+    if not state.is_current(state.ages.battery_s):
+        return {}
     found: Message = {"plugged": state.plugged} if state.plugged else {}
     volts = state.battery_v
-    if volts is not None and math.isfinite(volts) and state.is_current(state.ages.battery_s):
+    if volts is not None and math.isfinite(volts):
         found["volts"] = volts
     return found
 

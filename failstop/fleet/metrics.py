@@ -121,7 +121,7 @@ def _wheel_speeds(state: State) -> list[Sample]:
 
 def _joints(value: str) -> Read:
     def read(state: State) -> list[Sample]:
-        joints = state.arm.joints if state.arm else {}
+        joints = state.arm.joints if state.arm and state.is_current(None) else {}
         known = {name: getattr(row, value) for name, row in joints.items()}
         return _each("joint", {name: found for name, found in known.items() if found is not None})
 
@@ -129,7 +129,20 @@ def _joints(value: str) -> Read:
 
 
 def _servos(at: int) -> Read:
-    return lambda state: _each("servo", {name: float(told[at]) for name, told in state.servos.items()})
+    def read(state: State) -> list[Sample]:
+        known = state.servos if state.is_current(state.ages.servos_s) else {}
+        return _each("servo", {name: float(told[at]) for name, told in known.items()})
+
+    return read
+
+
+def _battery_volts(state: State) -> list[Sample]:
+    return _one(state.battery_v if state.is_current(state.ages.battery_s) else None)
+
+
+def _plugged(state: State) -> list[Sample]:
+    known = state.plugged if state.is_current(state.ages.battery_s) else ""
+    return _one({"plugged": 1.0, "unplugged": 0.0}.get(known))
 
 
 def _row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
@@ -232,12 +245,12 @@ BOARD = (
         lambda state: _one(state.speed_limit),
     ),
     _row(
-        "battery_volts", GAUGE, "The battery's voltage",
-        lambda state: _one(state.battery_v),
+        "battery_volts", GAUGE, "The battery's voltage; missing: not known now",
+        _battery_volts,
     ),
     _row(
-        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: unknown",
-        lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
+        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: not known now",
+        _plugged,
     ),
     _row(
         "reading_age_seconds", GAUGE, "Age of the newest reading of each kind; board: of anything that the board sent",

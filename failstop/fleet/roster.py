@@ -147,7 +147,7 @@ def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> N
     the message is malformed."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
-    robot.moves = found["moves"] is True
+    robot.moves = found.get("moves") is True
     robot.word, robot.why, robot.next = (_text(found[key]) for key in ("word", "why", "next"))
     robot.latched = found.get("latched") is True
     robot.errors = tuple(_text(row["kind"]) for row in errors if row["level"] == message.FATAL)

@@ -10,6 +10,7 @@ import pytest
 
 from failstop.api.snapshot import OLD_S, Ages, Device, Starved
 from failstop.fleet import message, topics
+from failstop.fleet.roster import Roster
 from failstop.fleet.settings import BY_KEY, FleetSettings
 from failstop.policy import causes
 from failstop.policy.setting import SettingError
@@ -77,19 +78,31 @@ def test_warnings(changed: dict[str, Any], kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("volts", "age_s", "shown"), [(12.0, 0.1, 12.0), (10.0, 0.1, 10.0), (None, None, None), (12.0, OLD_S, None)]
+    ("volts", "age_s", "shown"),
+    [
+        (12.0, 0.1, {"volts": 12.0, "plugged": "plugged"}),
+        (10.0, 0.1, {"volts": 10.0, "plugged": "plugged"}),
+        (None, None, {"plugged": "plugged"}),
+        (12.0, OLD_S, {}),
+    ],
 )
-def test_a_battery_voltage_that_is_old_or_unknown_is_not_published(
-    volts: float | None, age_s: float | None, shown: float | None
+def test_what_is_old_or_unknown_about_the_battery_is_not_published(
+    volts: float | None, age_s: float | None, shown: dict[str, Any]
 ) -> None:
-    found = message.body(states.state(battery_v=volts, plugged="plugged", ages=Ages(battery_s=age_s)), "")["battery"]
-    assert (found.get("volts"), found["plugged"]) == (shown, "plugged")
+    found = message.body(states.state(battery_v=volts, plugged="plugged", ages=Ages(battery_s=age_s)), "")
+    assert found["battery"] == shown
 
 
 def test_no_service() -> None:
     found = message.body(None, "no service named 'x' is running")
     assert [(row["kind"], row["level"]) for row in found["errors"]] == [("no_service", "fatal")]
-    assert (found["word"], found["why"], found["moves"]) == ("NO SERVICE", "no service named 'x' is running", False)
+    assert (found["word"], found["why"]) == ("NO SERVICE", "no service named 'x' is running")
+    assert "moves" not in found, "nobody knows"
+    roster = Roster()
+    whole = message.Header("hall", "r1").message(topics.STATE, found, 1.0)
+    roster.hear(topics.of_robot("hall", "r1", topics.STATE), whole, 0.0, retained=False)
+    assert [(robot.word, robot.moves) for robot in roster.sorted()] == [("NO SERVICE", False)]
+    assert "moves" not in message.steady(found)
 
 
 def test_the_last_stop_has_its_proofs_and_those_that_are_not_known_are_left_out() -> None:
