@@ -47,6 +47,13 @@ INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 
 
+class Interrupted(FleetError):
+    """Ctrl-C ended the command before it had done anything."""
+
+    exit_code = INTERRUPTED
+    """Exit code of a command that fails with this error."""
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the options of `failstop fleet` to its parser."""
     below = parser.add_subparsers(dest="action", metavar="ACTION")
@@ -89,8 +96,9 @@ def _settings(arguments: Namespace) -> FleetSettings:
     if broker := getattr(arguments, "broker", None):
         host, colon, port = broker.rpartition(":")
         # An IPv6 address contains colons, so a port can follow it only if the address is in brackets.
-        if colon and port.isdigit() and (":" not in host or host.endswith("]")):
-            changed = {"broker.host": host.strip("[]"), "broker.port": int(port)}
+        if colon and port.isascii() and port.isdigit() and (":" not in host or host.endswith("]")):
+            number = settings.port_number(port)
+            changed = {"broker.host": host.strip("[]"), "broker.port": port if number is None else number}
         else:
             changed = {"broker.host": broker.strip("[]")}
     return settings.load(arguments.config, changed)
@@ -110,9 +118,9 @@ def _publish(arguments: Namespace) -> int:
     said = None
     while not ended:
         publishing.turn()
-        if (status := _status(publishing.deaf(), publishing.doubled())) != said:
+        # If the manager's queue is full, try again in the next turn.
+        if (status := _status(publishing.deaf(), publishing.doubled())) != said and manager.say(status):
             said = status
-            manager.say(status)
     publishing.close()
     return 0
 
@@ -226,7 +234,7 @@ def _stop(arguments: Namespace) -> int:
         progress.clear()
     if code == INTERRUPTED:
         if stopping.sent_s is None:
-            raise FleetError(f"NO ROBOT WAS STOPPED: interrupted before a broker took the stop; {BY_HAND}")
+            raise Interrupted(f"NO ROBOT WAS STOPPED: interrupted before a broker took the stop; {BY_HAND}")
         standard.say("interrupted, so no robot is asked again; this was confirmed until now")
     if arguments.json:
         found = report.as_dict(stopping.tally, stopping.doubts)

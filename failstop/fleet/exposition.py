@@ -11,6 +11,8 @@ from failstop import extras
 from failstop.api.errors import FailstopError
 from failstop.api.state import StateReader
 from failstop.fleet import FleetError, metrics
+from failstop.fleet.settings import port_number
+from failstop.policy.setting import shown
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -91,12 +93,14 @@ def serving(name: str, host: str, port: int) -> Iterator[int]:
 
 def address(text: str) -> tuple[str, int]:
     """Split HOST:PORT, [IPv6]:PORT or :PORT into host and port. The default host is 127.0.0.1. Raises FleetError."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
-        raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")
+    host, colon, digits = text.rpartition(":")
+    port = port_number(digits)
+    if not colon or port is None or port > 65535:
+        raise FleetError(f"--serve {shown(text)}: HOST:PORT is expected, 127.0.0.1:9464 for one")
     host = host.strip("[]") or "127.0.0.1"
     try:
-        socket.getaddrinfo(host, int(port))
-    except OSError as error:
-        raise FleetError(f"--serve {text}: {error.strerror}") from None
-    return host, int(port)
+        socket.getaddrinfo(host, port)
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no host can have this name"
+        raise FleetError(f"--serve {shown(text)}: {why}") from None
+    return host, port

@@ -25,6 +25,8 @@ KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
 """The names of the credentials that systemd may pass to the publisher's unit (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 """The allowed names of robots and fleets. They have no `/`, `+` or `#`, because these have a meaning in MQTT topics."""
+MOST_DIGITS = 9
+"""The longest text that is read as a port. Python refuses to read a number of thousands of digits."""
 
 DECLARED = (
     Setting("broker.host", "127.0.0.1", "", None, None, "the host name or address of the MQTT broker"),
@@ -165,6 +167,11 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
         if path and (where := config.misplaced(path, found, BY_KEY.__contains__)):
             raise SettingError(f"{path}: {where}") from None
         raise error
+
+
+def port_number(text: str) -> int | None:
+    """Return the number of a port, or None if the text is no number, or one that is far too large."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS else None
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:

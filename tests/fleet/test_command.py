@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -224,8 +225,51 @@ def test_ctrl_c_before_a_broker_took_it_says_that_nobody_was_stopped(key: str) -
         until(terminal, "no broker at 127.0.0.1:1: Connection refused: trying again")
         running.send_signal(signal.SIGINT)
         assert "NO ROBOT WAS STOPPED" in until(terminal, "power switch")
-        assert running.wait(20) == 1
+        assert running.wait(20) == 130
     os.close(terminal)
+
+
+def test_a_status_that_the_service_manager_could_not_take_is_sent_again(
+    config: str, tmp_path: Path, somebody: Listener
+) -> None:
+    """Its queue is full while the publisher connects to the broker."""
+    (tmp_path / "state").mkdir()
+    address = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.settimeout(20.0)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    other.sendto(b"WATCHDOG=1", address)
+        known = {**os.environ, "NOTIFY_SOCKET": address, "STATE_DIRECTORY": str(tmp_path / "state")}
+        words = [*FAILSTOP, "fleet", "publish", "--name", "nobody", "--config", config]
+        with subprocess.Popen(words, env=known, stderr=subprocess.DEVNULL) as running:
+            states = lambda: [topic for topic, _ in somebody.all if topic.endswith("/state")]  # noqa: E731
+            pump("two states", lambda: len(states()) > 1, somebody)
+            said = b""
+            while b"STATUS=" not in said:
+                said = manager.recv(4096)
+            running.kill()
+    assert said == b"STATUS=obeys a fleet stop\nERRNO=0"
+
+
+@pytest.mark.parametrize(
+    ("broker", "says"),
+    [
+        ("127.0.0.1:²", "no broker at 127.0.0.1:²:1883"),
+        (f"127.0.0.1:{'1' * 5000}", "broker.port = '1111"),
+        (f"{'é' * 70}:1883", "no broker at éé"),
+        ("a..b", "no broker at a..b:1883"),
+    ],
+    ids=["digit", "long port", "long host", "empty label"],
+)
+def test_an_address_of_a_broker_that_is_none(broker: str, says: str, key: str) -> None:
+    done = failstop("fleet", "list", "--broker", broker, "--config", settings_of(key))
+    assert done.returncode == 1
+    assert says in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
 
 
 def until(terminal: int, wanted: str, *turning: Robot) -> str:

@@ -8,12 +8,13 @@ import re
 import socket
 import threading
 import urllib.request
+from typing import Any
 
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from failstop.api.snapshot import Ages, Device
+from failstop.api.snapshot import OLD_S, Ages, Device
 from failstop.api.state import State
 from failstop.fleet import FleetError, exposition, metrics, scraped
 from failstop.policy import causes
@@ -58,8 +59,8 @@ def test_without_a_service_there_is_up_alone() -> None:
 def test_every_family_has_samples_of_some_state_with_its_labels_and_no_others() -> None:
     servos = {"joint elbow (servo 3)": (-0.25, 41)}
     full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"), servos=servos)
-    full = dataclasses.replace(full, turning=states.TURNS_ON, ages=Ages(battery_s=12.0))
-    assert one(full, "reading_age_seconds", reading="battery") == 12.0
+    full = dataclasses.replace(full, turning=states.TURNS_ON, ages=Ages(battery_s=1.5))
+    assert one(full, "reading_age_seconds", reading="battery") == 1.5
     assert one(full, "servo_load_ratio", servo="joint elbow (servo 3)") == -0.25
     assert one(full, "servo_temperature_celsius", servo="joint elbow (servo 3)") == 41
     seen = {family.name: samples for family, samples in metrics.collect(full)}
@@ -138,6 +139,20 @@ def test_what_is_not_known_has_no_sample() -> None:
     assert "failstop_battery_charger_plugged" not in found
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"ages": Ages(battery_s=OLD_S, servos_s=OLD_S)},
+        {"device": Device("/dev/x", "lost", "alive"), "arm": states.arm("elbow")},
+        {"device": Device("/dev/x", "open", "silent"), "arm": states.arm("elbow")},
+    ],
+)
+def test_a_reading_from_before_the_board_fell_silent_has_no_sample(changed: dict[str, Any]) -> None:
+    servos = {"joint elbow (servo 3)": (-0.25, 41)}
+    found = parsed(states.state(plugged="plugged", servos=servos, **changed))
+    assert not [name for name in found if re.search("battery|servo_|arm_joint", name)]
+
+
 def test_a_state_that_this_version_does_not_know_is_shown() -> None:
     strange = states.state(processes={"gate": states.process(state="dreaming")})
     assert one(strange, "process_state", process="gate", state="dreaming") == 1
@@ -176,10 +191,19 @@ def test_idle_connections_take_few_threads_and_keep_nobody_from_the_metrics() ->
         assert threading.active_count() <= before + 1 + scraped.MOST_CONNECTIONS
 
 
-@pytest.mark.parametrize("given", ["", "9464", "localhost", "127.0.0.1:x", "127.0.0.1:65536", "127.0.0.1:-1"])
+@pytest.mark.parametrize(
+    "given",
+    ["", "9464", "localhost", "127.0.0.1:x", "127.0.0.1:65536", "127.0.0.1:-1", "127.0.0.1:²", ":" + "1" * 5000],
+)
 def test_an_address_that_is_none(given: str) -> None:
     with pytest.raises(FleetError, match="HOST:PORT is expected"):
         exposition.address(given)
+
+
+@pytest.mark.parametrize("host", ["a..b", "é" * 70], ids=["empty label", "long"])
+def test_a_host_that_is_none(host: str) -> None:
+    with pytest.raises(FleetError, match="no host can have this name"):
+        exposition.address(f"{host}:9464")
 
 
 def test_addresses() -> None:
