@@ -136,7 +136,8 @@ def _prove(talk: Talk, settings: Mapping[str, object], device: str, name: str, h
         if talk.silent or not talk.agreed("repeat", "Run it again? (yes, no)", YES):
             if talk.agreed("unproved", "Write the settings anyway? (yes, no)", NO):
                 break
-            raise Left("the robot did not pass the stand test")
+            wheels = f"; {halt.last.sentence()}" if halt.last else ""
+            raise Left(f"the robot did not pass the stand test{wheels}")
         evidence = finish.proof(talk, settings, device, name, halt) or evidence
     return evidence
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import itertools
 import json
 import os
@@ -34,7 +35,7 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import Settings
 from failstop.setup.halt import WAITS_S, Halt
 from failstop.setup.rig import toml
-from failstop.setup.talk import NO, Left, NotAnAnswer, Talk, yes_or_no
+from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk, yes_or_no
 
 CONSENT = "spin\n"
 """The word that `failstop prove` wants to read before it turns the wheels."""
@@ -47,6 +48,8 @@ REPLACE = "replace"
 NOT_YET = "service"
 """The doctor's check whose result setup does not show, because this check needs a running service, and the service is
 started only after the setup."""
+NO_SECOND_NAME = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.EMLINK, errno.EXDEV)
+"""The errors of os.link if the file system or the kernel (fs.protected_hardlinks) allows no second name."""
 RESULT = "result.json"
 NO_RESULT = "no result"
 """The verdict of a stand test that did not begin, or could not save its result."""
@@ -69,8 +72,9 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
     """Run the short stand test with these settings, as the sixth step of the setup. Returns the evidence of the test,
-    or an empty dict if the person skips the test. Raises Left if nobody can be asked. If a signal such as Ctrl-C ends
-    the test, `halt` stops the wheels, and KeyboardInterrupt is raised."""
+    or an empty dict if the person skips the test. After each test, `halt` stops the wheels once more, because the test
+    turned them in another process. Raises Left if nobody can be asked, or if a wheel may still be turning. Raises
+    KeyboardInterrupt if a signal such as Ctrl-C has ended the test."""
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
@@ -94,11 +98,16 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
         words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder, "--name", name]
         sys.stdout.flush()
         whole = helpers.python("failstop", *words)
-        code, interrupted = _run(whole, CONSENT if agreed else None)
+        code = -signal.SIGKILL
+        try:
+            code, interrupted = _run(whole, CONSENT if agreed else None)
+        finally:
+            # If the port is unplugged, the test has already waited for it, so don't wait again.
+            known = halt.now(0.0 if code >= 0 else WAITS_S)
     if interrupted or code >= 128 or code < 0:
-        # If the port is unplugged, the test has already waited for it, so don't wait again.
-        halt.now(0.0 if code >= 0 else WAITS_S)
         raise KeyboardInterrupt
+    if not known.safe:
+        raise Left(known.sentence())
     for run in sorted(_runs(folder) - before):
         # A disk that is full or broken may have left no result, or half of one.
         with contextlib.suppress(OSError, ValueError):
@@ -163,13 +172,17 @@ def write(talk: Talk, made: str, name: str) -> str:
     default = installed if os.access(os.path.dirname(installed), os.W_OK) else os.path.abspath(f"{name}.toml")
 
     def check(answer: str) -> str:
-        if answer == NO:
+        if answer.lower() in ("n", NO):
             return NO
+        if answer.lower() in ("y", YES) or not answer.isprintable():
+            raise NotAnAnswer(f"type a path, or {NO}")
         path = os.path.abspath(os.path.expanduser(answer))
         if not os.access(os.path.dirname(path), os.W_OK):
             raise NotAnAnswer(f"you may not write to {os.path.dirname(path)}: type another path, or {NO}")
         if os.path.lexists(path) and not os.path.isfile(path):
             raise NotAnAnswer(f"{path} is not a file: type another path, or {NO}")
+        if os.path.exists(path) and not os.access(path, os.R_OK):
+            raise NotAnAnswer(f"you may not read {path}, which would be replaced: type another path, or {NO}")
         return path
 
     path = talk.ask(
@@ -189,7 +202,9 @@ def write(talk: Talk, made: str, name: str) -> str:
             talk.say(f"The previous settings are in {_keep(path)}.")
         durable.publish(f"{path}.new", path)
     except OSError as error:
-        raise Left(f"{path} could not be written: {error.strerror}") from None
+        with contextlib.suppress(OSError):
+            os.unlink(f"{path}.new")
+        raise Left(f"{path} could not be written: {error.strerror}; write to another path") from None
     talk.say(f"Written to {path}.", style.OK)
     return path
 
@@ -203,19 +218,30 @@ def _replace(answer: str) -> str:
 
 
 def _keep(path: str) -> str:
-    """Give a file a second name, so that its content is kept when the first name gets a new file. The second name is
-    FILE.old, or the first FILE.old.N that is free. Returns the second name. Raises OSError."""
+    """Give a file a second name, so that its content is kept when the first name gets a new file. Copy it if the system
+    allows no second name, for example for a file of another user. The second name is FILE.old, or the first FILE.old.N
+    that is free. Returns the second name. Raises OSError."""
     for number in itertools.count(1):
         kept = f"{path}.old" if number == 1 else f"{path}.old.{number}"
         with contextlib.suppress(FileExistsError):
-            os.link(path, kept)
+            try:
+                os.link(path, kept)
+            except OSError as error:
+                if error.errno not in NO_SECOND_NAME:
+                    raise
+                with open(path, "rb") as file:
+                    durable.write_new(kept, file.read(), path)
             return kept
     raise AssertionError
 
 
 def _differ(talk: Talk, path: str, made: str) -> None:
-    with open(path, encoding="utf-8", errors="replace") as file:
-        before = file.read().splitlines()
+    """Show the lines in which the file differs from the new settings. Raises Left."""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            before = file.read().splitlines()
+    except OSError as error:
+        raise Left(f"{path} could not be read: {error.strerror}; write to another path") from None
     for line in list(difflib.unified_diff(before, made.splitlines(), "there", "new", lineterm="", n=0))[2:]:
         if line[:1] in "+-":
             style.show([[(f"   {line}", style.PLAIN)]])

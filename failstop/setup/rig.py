@@ -157,6 +157,7 @@ class Rig:
                 # Ctrl-C must reach setup only, which then ends this service cleanly.
                 start_new_session=True,
             )
+        refused = ""
         there_s = time.monotonic()
         until_s = there_s + READY_S + self._board.port.deaf_ns / 1e9
         while True:
@@ -170,15 +171,20 @@ class Rig:
                 # The service may have exited because the board was unplugged. Look again whether the port is gone.
                 time.sleep(REPEAT_S)
                 continue
-            with contextlib.suppress(FailstopError):
+            try:
                 self._robot = self._robot or Robot(self.name, client="setup")
                 state = self._robot.wait_for("ready", 0.2)
                 if state.cause:
                     self._robot.reset(seen=state.epoch)
                 self._robot.enable()
                 return
+            except Refused as error:
+                refused = error.reason
+            except FailstopError:
+                pass  # the service has not started yet, or is not ready
             if time.monotonic() > until_s:
-                raise Left(f"the service was not ready within {READY_S:g} s: {self._why() or self._said()}")
+                why = refused or self._why() or self._said()
+                raise Left(f"the service was not ready within {READY_S:g} s: {why}")
 
     def drive(self, velocity: Velocity, seconds: float) -> None:
         """Drive at this velocity for `seconds`, then wait until the wheels are stopped. Raises Left if the robot can't

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import stat
+import tempfile
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from failstop.files import durable
+from failstop.policy.halted import CONFIRMED, MAY_TURN, Halted
 from failstop.setup import command, finish
 from failstop.setup.draft import Draft
 from failstop.setup.talk import Left, Talk
+from tests.support.children import needs_root
+from tests.support.unprivileged import unprivileged
 
 
 class Answers:
@@ -88,11 +95,26 @@ class Runs:
         return code, False
 
 
+class Board:
+    """What stops the wheels, of a board that obeys or that has become deaf."""
+
+    def __init__(self, *, hears: bool = True) -> None:
+        self._found = Halted("/nowhere", written=True, confirms=True, confirmed=hears)
+        self.stops = 0
+        self.last: Halted | None = None
+
+    def now(self, _waits_s: float) -> Halted:
+        self.stops += 1
+        self.last = self._found
+        return self._found
+
+
 def proved(
     place: Path,
     tests: Runs,
     monkeypatch: pytest.MonkeyPatch,
     typed: Sequence[str] | None = None,
+    board: Board | None = None,
     **given: str,
 ) -> Mapping[str, Any]:
     """The evidence at the end of the sixth step, for a robot called `left`. `typed`: what somebody types at the
@@ -103,7 +125,7 @@ def proved(
     monkeypatch.setattr(finish, "here", lambda _: True)
     monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: next(answers))
     talk = Talk(given, Draft("left", {"STATE_DIRECTORY": str(place)}), silent=typed is None)
-    found = command._prove(talk, {"board.kind": "ugv"}, "/nowhere", "left", None)  # type: ignore[arg-type]
+    found = command._prove(talk, {"board.kind": "ugv"}, "/nowhere", "left", board or Board())  # type: ignore[arg-type]
     assert next(answers, None) is None, "it asked for all of it"
     return found
 
@@ -139,6 +161,92 @@ def test_a_stand_test_that_never_began_did_not_pass(code: int, tmp_path: Path, m
         proved(tmp_path, Runs((code, "")), monkeypatch, prove="yes", unproved="no")
     found = proved(tmp_path, Runs((code, "")), monkeypatch, prove="yes", unproved="yes")
     assert "Stand test: no result." in finish.text({}, "A robot", found)
+
+
+@pytest.mark.parametrize("verdict", ["PASS", "FAIL", ""])
+def test_a_board_that_is_deaf_after_the_stand_test_ends_setup_with_what_helps(
+    verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The test turned the wheels in another process, so what was known before it says nothing any more."""
+    board = Board(hears=False)
+    with pytest.raises(Left, match=MAY_TURN):
+        proved(tmp_path, Runs((int(verdict != "PASS"), verdict)), monkeypatch, board=board, prove="yes", unproved="yes")
+    assert board.stops == 1
+
+
+def test_after_a_stand_test_that_did_not_pass_the_wheels_are_stopped_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = Board()
+    with pytest.raises(Left, match=f"the robot did not pass the stand test; {CONFIRMED}"):
+        proved(tmp_path, Runs((1, "FAIL"), (1, "FAIL")), monkeypatch, typed=["yes", "no", "no"], board=board)
+    assert board.stops == 2
+
+
+def test_whatever_ends_the_stand_test_the_wheels_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupted(Runs):
+        def run(self, words: Sequence[str], said: str | None) -> tuple[int, bool]:
+            raise KeyboardInterrupt
+
+    board = Board()
+    with pytest.raises(KeyboardInterrupt):
+        proved(tmp_path, Interrupted(), monkeypatch, board=board, prove="yes")
+    assert board.stops == 1
+
+
+@pytest.mark.parametrize("no", ["no", "n", "No"])
+def test_a_no_to_the_file_is_no_name_of_a_file(no: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    talk = Talk({"file": no}, Draft("left", {"STATE_DIRECTORY": str(tmp_path)}), silent=True)
+    with pytest.raises(Left, match="you chose not to write the settings"):
+        finish.write(talk, "made", "left")
+
+
+@pytest.mark.parametrize("yes", ["yes", "Y", "a\nb"])
+def test_a_yes_to_the_file_is_no_name_of_a_file(yes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    talk = Talk({"file": yes}, Draft("left", {"STATE_DIRECTORY": str(tmp_path)}), silent=True)
+    with pytest.raises(Left, match="type a path, or no"):
+        finish.write(talk, "made", "left")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_file_that_may_have_no_second_name_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linux refuses one for a file of another user, and some file systems have none."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    path = tmp_path / "failstop.toml"
+    for made in ("first", "second", "third"):
+        finish.write(Answers(path), made, "failstop")  # type: ignore[arg-type]
+    found = {each.name: each.read_text() for each in tmp_path.iterdir()}
+    assert found == {"failstop.toml": "third", "failstop.toml.old": "first", "failstop.toml.old.2": "second"}
+
+
+@needs_root
+@pytest.mark.parametrize(("mode", "end"), [(0o600, "you may not read"), (0o644, "written")])
+def test_somebody_elses_settings_are_refused_at_the_question_or_kept(mode: int, end: str) -> None:
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        os.chmod(folder, 0o777)
+        path = Path(folder) / "robot.toml"
+        path.write_text("old")
+        path.chmod(mode)
+        answers = {"file": str(path), "replace": finish.REPLACE}
+        talk = Talk(answers, Draft("left", {"STATE_DIRECTORY": folder}), silent=True)
+
+        def work() -> str:
+            with contextlib.redirect_stdout(StringIO()):
+                try:
+                    finish.write(talk, "new", "left")
+                except Left as error:
+                    return str(error)
+            return "written"
+
+        assert end in unprivileged(work)
+        names = {each.name: each.read_text() for each in Path(folder).iterdir()}
+        assert names == ({"robot.toml": "old"} if mode == 0o600 else {"robot.toml": "new", "robot.toml.old": "old"})
 
 
 class Broken(Runs):

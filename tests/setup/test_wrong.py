@@ -13,13 +13,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from io import StringIO
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import psutil
 import pytest
 
 from failstop import config
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, Refused
 from failstop.board.kinds import board_of
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.policy.layouts import BOARDS
@@ -202,16 +203,14 @@ def test_missing_rights_are_told_with_what_gives_them(
 UNPLUGGED = f"is unplugged: {MAY_TURN}"
 DEAF = f"the board did not confirm it: {MAY_TURN}"
 STOPPED = "the wheels are stopped, as the board reports"
-UNPROVED = "the robot did not pass the stand test"
 FAULTS: dict[tuple[str, str], str] = {
     ("ask", "silent"): "no board that failstop knows answers at",
     ("ask", "deaf"): "so it may hear nothing; check the board's power, its cable (TX and RX must cross)",
     ("ask", "unplug"): "has disappeared",
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("unplug",)), UNPLUGGED),
-    **dict.fromkeys(product(("wheel_0", "forward"), ("deaf",)), DEAF),
+    **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("deaf",)), DEAF),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("sigkill",)), ""),
-    ("prove", "deaf"): UNPROVED,
 }
 """Each fault at each step that has the board at work: of wheels that turn, and before. Empty: nobody is left to say."""
 
@@ -238,7 +237,9 @@ def strike(fault: str, board: SimBoard, person: Person) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("step", "fault"), FAULTS if LONG else [("wheel_0", "unplug"), ("prove", "ctrl-c")])
+@pytest.mark.parametrize(
+    ("step", "fault"), FAULTS if LONG else [("wheel_0", "unplug"), ("prove", "ctrl-c"), ("prove", "deaf")]
+)
 def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: str, place: Path) -> None:
     port = str(place / "b")
     answers = {**GIVEN, "port": port, "prove": "yes", "unproved": "no"}
@@ -259,8 +260,6 @@ def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: 
             if fault == "unplug" and step != "ask":
                 person.reads(f"{UNPLUGGED}. Plug it in again")
                 person.presses(CTRL_C)
-            if sentence == UNPROVED:
-                person.says("Run it again?", "no")
             if sentence:
                 person.reads(sentence)
                 person.reads(LEAVES)
@@ -368,6 +367,34 @@ def test_a_board_that_is_unplugged_before_the_service_is_ready_is_named(
             monkeypatch.setattr(rig, "GONE_S", 3.0)
         with pytest.raises(Left, match="was unplugged before the wheels were turned"), rig.Rig(port, kind, halt):
             pass
+
+
+def test_why_the_service_enables_nothing_is_told(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Refuses:
+        def __init__(self, *_: object, **__: object) -> None:
+            self.state = SimpleNamespace(cause=None, waiting_for="", blocked="")
+
+        def wait_for(self, *_: object) -> object:
+            return self.state
+
+        def enable(self) -> None:
+            raise Refused("nobody attends")
+
+        def close(self) -> None:
+            pass
+
+    port = place / "b"
+    port.touch()
+    monkeypatch.setattr(rig, "Robot", Refuses)
+    monkeypatch.setattr(rig, "READY_S", 0.1)
+    monkeypatch.setattr(rig.helpers, "python", lambda *_: ["sleep", "60"])
+    kind = {"board.kind": KIND, "wheels.layout": "differential"}
+    halt = Halt(str(port), board_of(KIND, 1.0, 0.0), print)
+    with (
+        pytest.raises(Left, match=r"ready within .* nobody attends"),
+        rig.Rig(str(port), kind, halt),
+    ):
+        pass
 
 
 def test_every_file_that_is_replaced_is_kept(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
