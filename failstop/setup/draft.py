@@ -12,15 +12,30 @@ from failstop.files.root import state_directory
 
 FILE = "setup.json"
 MOST_BYTES = 65536
+HARDWARE = ("port", "board", "can_id", "robot", "layout")
+"""The questions about what is connected and what it is, in the order in which setup asks them. The answers to all later
+questions, and the settings that setup has found, count only for this hardware."""
+WHEEL = "wheel_"
+TOGETHER = ("forward", "turn")
+"""The questions that are asked while all wheels turn. Their answers count only for these answers about each wheel."""
+BEFORE = "before."
 
 
 class Draft:
-    """Keeps the answers, each under the key of its question. Each answer is saved at once."""
+    """Keeps the answers, each under the key of its question, and the settings that setup has found from them. Each is
+    saved at once."""
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
         """Reads the answers of an earlier setup, if there are any. `name`: the name of the service."""
         self.path = os.path.join(state_directory(name, environ), FILE)
-        self.answers = self._read()
+        read = self._read()
+        self.answers = {key: value for key, value in read.items() if "." not in key}
+        self.found = {key: value for key, value in read.items() if "." in key and not key.startswith(BEFORE)}
+        """The settings that setup has measured or corrected, each by its whole key. An answer such as "yes, forward"
+        was given with these settings, so it must not be used without them."""
+        self._before = {key: value for key, value in read.items() if key.startswith(BEFORE)}
+        """Answers about the hardware that must be given again. If a new answer is the same, the later ones still
+        count."""
         self.unwritten = ""
         """Why an answer could not be saved. Empty while all answers are saved."""
 
@@ -35,24 +50,49 @@ class Draft:
         return {str(key): value for key, value in found.items() if isinstance(value, str)}
 
     def keep(self, key: str, answer: str) -> None:
-        """Add an answer, and save it."""
+        """Add an answer, and save it. If the earlier answer was another one, delete everything that was answered or
+        found for that one."""
+        if self.answers.get(key, self._before.pop(f"{BEFORE}{key}", None)) != answer:
+            self._drop_later(key)
         self.answers[key] = answer
         self._write()
 
+    def keep_found(self, key: str, value: object) -> None:
+        """Add a setting that setup has found, and save it. `value`: a number."""
+        self.found[key] = str(value)
+        self._write()
+
+    def _drop_later(self, key: str) -> None:
+        if key in HARDWARE:
+            earlier = HARDWARE[: HARDWARE.index(key)]
+            self.answers = {each: self.answers[each] for each in self.answers if each in earlier}
+            self._before = {each: self._before[each] for each in self._before if each.removeprefix(BEFORE) in earlier}
+            self.found.clear()
+        elif key.startswith(WHEEL):
+            for each in TOGETHER:
+                self.answers.pop(each, None)
+
     def forget(self, *keys: str) -> None:
-        """Delete the answers to these questions. Without arguments, delete all answers."""
-        for key in keys or tuple(self.answers):
-            self.answers.pop(key, None)
+        """Delete the answers to these questions, so that they are asked again. Without arguments, delete
+        everything."""
+        popped = {key: self.answers.pop(key) for key in keys if key in self.answers}
+        for key in HARDWARE:
+            later = {*self.answers, *self.found} - {*HARDWARE[: HARDWARE.index(key)]}
+            if key in popped and later:
+                self._before[f"{BEFORE}{key}"] = popped[key]
+        if not keys:
+            for kept in (self.answers, self.found, self._before):
+                kept.clear()
         self._write()
 
     def _write(self) -> None:
-        if not self.answers:
+        if not (everything := {**self.answers, **self.found, **self._before}):
             with contextlib.suppress(OSError):
                 os.unlink(self.path)
             return
         try:
             os.makedirs(os.path.dirname(self.path), exist_ok=True)
-            durable.write_draft(f"{self.path}.new", json.dumps(self.answers, indent=1).encode())
+            durable.write_draft(f"{self.path}.new", json.dumps(everything, indent=1).encode())
             durable.publish(f"{self.path}.new", self.path)
         except OSError as error:
             self.unwritten = f"{self.path}: {error.strerror}"

@@ -126,8 +126,8 @@ def choose(talk: Talk, system: System) -> str:
     numbers = f"its number, {OTHER_PATH}" if found else "type its path"
     default = next(iter(found)) if len(found) == 1 else ""
     question = f"Which port is the board at? ({numbers}; {UNPLUG}: find it by unplugging it)"
-    while (path := talk.ask("port", question, default, check)) == UNPLUG:
-        talk.draft.forget("port")  # the word `unplug` was saved as the answer, but is no port
+    while (path := talk.ask("port", question, default, check, passing=(UNPLUG,))) == UNPLUG:
+        talk.draft.forget("port")  # an earlier answer must not be used if no port is found now
         try:
             path = went(talk)
         except Left as error:

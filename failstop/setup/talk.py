@@ -17,6 +17,7 @@ from failstop.setup.ending import arrivals
 
 WIDEST = 80
 YES, NO = "yes", "no"
+AS_BEFORE = "as before"
 
 
 class Left(FailstopError):
@@ -60,10 +61,19 @@ class Talk:
         if remedy:
             self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
-    def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
+    def ask(
+        self,
+        key: str,
+        question: str,
+        default: str = "",
+        check: Check = str.strip,
+        *,
+        keep: bool = True,
+        passing: Sequence[str] = (),
+    ) -> str:
         """Ask a question, and return the checked answer. Enter alone gives `default`. With `keep`, the answer is saved,
-        and an answer that was saved earlier is used. Raises Left if an option has a wrong answer, or if nobody can be
-        asked."""
+        and an answer that was saved earlier is used. `passing`: words that are not saved, because they only ask setup
+        to do something. Raises Left if an option has a wrong answer, or if nobody can be asked."""
         if (value := self.given.pop(key, None)) is not None:
             try:
                 found = check(value)
@@ -75,11 +85,11 @@ class Talk:
                 found = check(self.draft.answers[key])
             except NotAnAnswer:
                 self.draft.forget(key)
-                return self.ask(key, question, default, check, keep=keep)
-            self._show_answer(key, found, "as before")
+                return self.ask(key, question, default, check, keep=keep, passing=passing)
+            self._show_answer(key, found, AS_BEFORE)
         else:
             found = self._typed(key, question, default, check)
-        if keep:
+        if keep and found not in passing:
             self.draft.keep(key, found)
         return found
 

@@ -3,7 +3,8 @@ wheels together."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from statistics import median
 
 from failstop.board.kinds import board_of
@@ -14,7 +15,7 @@ from failstop.policy.settings import Settings
 from failstop.setup import turn
 from failstop.setup.halt import Halt
 from failstop.setup.rig import Rig, alone, rim_mps
-from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
+from failstop.setup.talk import AS_BEFORE, YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
 SECONDS = 1.0
 RPS = 0.5
@@ -30,6 +31,9 @@ STAND = (
 )
 STEERED_BY, STEERING = "steering.servo", "steering.sign"
 SCALE = (scale.PER_RPS, scale.PER_RPS_CONFIRMED)
+FOUND: dict[str, Callable[[str], object]] = {STEERING: int, **dict.fromkeys(SCALE, float)}
+"""The settings that this step may find besides the ids and directions, which follow from the answers about the wheels.
+The value reads a setting from its text."""
 SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
@@ -104,6 +108,7 @@ class Trial:
         stand(talk)
         by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
         found = turn.asked(talk, self._device, self._values, self._halt, self._speeds, single=not by_hand)
+        found |= self._found_before()
         self._values |= found
         self._set_speeds()
         if by_hand:
@@ -119,6 +124,7 @@ class Trial:
             talk.draft.forget("forward", "turn")
             if wrong == "turn" and STEERED_BY in Settings(values).flat():
                 found[STEERING] = sign = -int(Settings(values)[STEERING])
+                self._keep({STEERING: sign})
                 talk.warn("So the steering servo turns the other way.", f"{STEERING} is {sign} now; watch it again")
                 continue
             if by_hand:
@@ -128,6 +134,20 @@ class Trial:
             if talk.silent:
                 raise Left(f"{text}: give them all again")
             talk.warn(f"{text[0].upper()}{text[1:]}.", "let's go through the wheels again")
+
+    def _found_before(self) -> dict[str, object]:
+        """Return the settings that were found before the setup was left. The answers from that time count only with
+        these settings."""
+        found: dict[str, object] = {}
+        for key, kind in FOUND.items():
+            with contextlib.suppress(KeyError, ValueError):
+                found[key] = kind(self._talk.draft.found[key])
+                self._talk.say(f"{key}: {found[key]} ({AS_BEFORE})", style.DIM)
+        return found
+
+    def _keep(self, found: Mapping[str, object]) -> None:
+        for key, value in found.items():
+            self._talk.draft.keep_found(key, value)
 
     def _ids(self) -> dict[str, object]:
         answers: dict[int, str] = {}
@@ -175,6 +195,7 @@ class Trial:
         self._talk.say(f"{wrong[0].upper()}{wrong[1:]}.", style.WARN)
         found: dict[str, object] = dict.fromkeys(SCALE, float(f"{board.per_rps / ratio:.4g}"))
         self._values |= found
+        self._keep(found)
         self._set_speeds()
         return found
 
@@ -200,7 +221,8 @@ class Trial:
                 ratio = self._turn(id_)
             none = f"; {NONE}" if spare else ""
             question = f"Id {id_}: which wheel turned, and which way? ({', '.join(self._words)} with + or -{none})"
-            answer = talk.ask(key, question, "", lambda said: parsed(said, self._words, spare))
+            passing = AGAIN_WORD, FASTER
+            answer = talk.ask(key, question, "", lambda said: parsed(said, self._words, spare), passing=passing)
             if answer not in (AGAIN_WORD, FASTER):
                 if ratio and answer != NONE:  # if nobody has seen a wheel turn, the board has measured noise
                     self._ratios.append(ratio)
