@@ -28,6 +28,11 @@ KEYS: tuple[tuple[bytes, list[str]], ...] = (
     (b"\x1b[3~\x1b[15~", []),
     (b"\x1b[?62;c", []),
     (b"\x1b[119u", []),
+    (b"\x1b[<64;87;69M\x1b[<65;87;69M", []),
+    (b"\x1b[<0;87;69M\x1b[<0;87;69mw", ["w"]),
+    (b"\x1b[M`We\x1b[MaWee", ["e"]),
+    (b"\x1b[M#\xffww", ["w"]),
+    (b"\x1b[M w", [" ", "w"]),
 )
 
 

@@ -146,6 +146,20 @@ def test_the_stop_goes_first_and_of_what_is_late_only_what_stops_counts(
     assert (scribe.asked, pilot.leaving, pilot.hold.active) == (asked, names == ("q",), False)
 
 
+@pytest.mark.parametrize("text", ["screwdriver", "er", "wr", "e\r"])
+def test_a_word_that_comes_at_once_resets_enables_and_drives_nothing(pilot: Pilot, scribe: Scribe, text: str) -> None:
+    """Pasted, at a terminal that does not mark what is pasted."""
+    press(pilot, *text, seen=latched())
+    assert scribe.asked == []
+    assert "several keys came at once" in pilot.note[0]
+    press(pilot, "r", seen=latched())
+    assert scribe.asked == [ZERO, "reset"] or scribe.asked == ["reset"]
+    press(pilot, *text, SPACE)
+    assert scribe.asked[-1] == "estop"
+    press(pilot, *text, "q")
+    assert pilot.leaving
+
+
 def test_beside_another_publisher_not_even_a_zero_goes_out(pilot: Pilot, scribe: Scribe) -> None:
     press(pilot, "w")
     scribe.asked.clear()

@@ -106,6 +106,20 @@ def test_hold_to_run_and_leave(pilot: Typist, trial: Trial) -> None:
     assert not trial.robot.state.enabled
 
 
+def test_scrolling_drives_nothing_and_the_mouse_is_let_go_at_the_end(pilot: Typist, trial: Trial) -> None:
+    """A terminal that reports the mouse sends no arrow keys for its wheel."""
+    asked = pilot.raw.index("\x1b[?1000h"), pilot.raw.index("\x1b[?1006h")
+    enable(pilot, trial)
+    trial.board.events()
+    for _ in range(10):
+        pilot.type(b"\x1b[<64;87;69M")
+        pilot.look(REPEAT_S)
+    pilot.type(b"q")
+    assert pilot.end() == 0
+    assert not any(event.is_motion for event in trial.board.events())
+    assert min(pilot.raw.index("\x1b[?1000l"), pilot.raw.index("\x1b[?1006l")) > max(asked)
+
+
 def test_what_somebody_else_enabled_goes_on_when_it_leaves(trial: Trial) -> None:
     trial.enable()
     with Typist.failstop("teleop", "--name", trial.name) as pilot:

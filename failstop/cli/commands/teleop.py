@@ -42,6 +42,9 @@ CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
+MOVERS = ("r", "e")
+"""The keys that may let a stopped robot move again. They do nothing if other keys come in the same read, because a
+terminal without marks around pasted text delivers a whole word at once."""
 TURNS = {"[": -1, "]": 1}
 """The keys that turn the chosen joint of the arm while they are held, each with its direction. A digit chooses the
 joint."""
@@ -74,7 +77,7 @@ def main(arguments: Namespace) -> int:
     """Run the command. At the end it stops the wheels, and disables motion if it has enabled motion itself. Returns 0
     after q, and 128 plus the signal's number after a signal."""
     SeenRun(arguments.name).check("source", arguments.source)
-    terminal = Terminal()
+    terminal = Terminal(mouse=True)
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
         robot.assert_interlocks()  # takes the client slot before the screen changes, so that an error can be read
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
@@ -149,6 +152,8 @@ class Pilot:
             with self._noted():
                 self.robot.estop("space key")
             late = True  # a key that was typed before the space key, or together with it, must not undo the stop
+        if len(typed := set(keys)) > 1 and typed & {*MOVERS}:
+            late, self.note = True, ("several keys came at once, as in pasted text: press one after the other", WARN)
         if late:
             keys = [key for key in keys if key in LEAVE]
         if late or not state.enabled:

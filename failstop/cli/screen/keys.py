@@ -27,6 +27,12 @@ _TOKEN = re.compile(r"\x1b\[([ -?]*)([@-~]|(?=[^ -~]))|\x1bO(.)|([^\x1b]|\x1b(?=
 """Matches one of three things: an escape sequence `ESC [ parameters final`, which another character may have cut off;
 an arrow key in application mode, `ESC O letter`; or a single character."""
 
+_MOUSE = re.compile(rb"\x1b\[M[!-\xff]{3}")
+"""A report of the mouse by an old terminal, which does not know the mode 1006. Its last two bytes are the place of the
+mouse, and look like keys. The left button's report has a space, which is never left out, because it stops the robot."""
+_MOUSE_PART = re.compile(rb"\x1b(?:\[(?:M[!-\xff]{0,2})?)?$")
+"""What may be the beginning of such a report, at the end of a read."""
+
 Velocity = tuple[float, float, float]
 
 
@@ -40,12 +46,17 @@ class KeyDecoder:
 
     def __init__(self) -> None:
         self._text = getincrementaldecoder("utf-8")("ignore")
+        self._mouse = b""
+        """The beginning of a report of the mouse, whose rest has not arrived yet."""
         self._rest = ""
         self._pasting = False
 
     def feed(self, data: bytes) -> list[str]:
-        """Add bytes, and return the keys that are complete. Keys in pasted text are left out."""
-        rest = self._rest + self._text.decode(data)
+        """Add bytes, and return the keys that are complete. Keys in pasted text are left out, and so is what the mouse
+        does."""
+        data = _MOUSE.sub(b"", self._mouse + data)
+        self._mouse = part[0] if (part := _MOUSE_PART.search(data)) else b""
+        rest = self._rest + self._text.decode(data.removesuffix(self._mouse))
         found: list[str] = []
         while (token := _TOKEN.match(rest)) or len(rest) >= _LONGEST:
             rest = rest[token.end() if token else 1 :]

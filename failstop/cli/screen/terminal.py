@@ -24,6 +24,12 @@ OUT = 1
 CLEAR = "\x1b[H\x1b[2J"
 ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
 """Switches to the alternate screen, hides the cursor, and asks the terminal to mark pasted text."""
+MOUSE = "\x1b[?1007s\x1b[?1007l\x1b[?1000h\x1b[?1006h"
+"""Makes the terminal report the mouse. Otherwise many terminals send the bytes of the up and down arrows when a person
+scrolls on the alternate screen, and these keys may drive the robot. tmux and some terminals do that even after ?1007l,
+which is meant to switch it off. Shift with the mouse still selects text."""
+NO_MOUSE = "\x1b[?1006l\x1b[?1000l\x1b[?1007h\x1b[?1007r"
+"""The end of MOUSE. A terminal that has saved the mode 1007 restores it, any other one switches it on, as is usual."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 """The signals that end the command. Ctrl-Z (SIGTSTP) ends the command instead of suspending it, because nobody would
@@ -35,14 +41,15 @@ class Terminal:
     """Shows a live command on the terminal. Use it as a context manager. A signal in ENDS only sets `ended` to its
     number, and then the loop of turns() ends."""
 
-    def __init__(self) -> None:
-        """Raises FailstopError if standard output is not a terminal, or if the terminal does not understand escape
-        sequences."""
+    def __init__(self, *, mouse: bool = False) -> None:
+        """`mouse`: the terminal must report the mouse, because the arrow keys do something. Raises FailstopError if
+        standard output is not a terminal, or if the terminal does not understand escape sequences."""
         if not os.isatty(OUT):
             raise FailstopError("this command shows a live screen, so run it in a terminal")
         if not style.lives(os.environ, terminal=True):
             term = os.environ.get("TERM", "")
             raise FailstopError(f"this command needs a terminal that can draw a screen, but TERM is {term!r}")
+        self._mouse = mouse
         self._shown: list[str] | None = None
         """The lines on the screen. None if they are not known, so that all lines must be drawn."""
         self._keyboard = os.isatty(IN)
@@ -59,11 +66,11 @@ class Terminal:
             self._saved = termios.tcgetattr(IN)
             tty.setcbreak(IN)  # drops keys that were typed before
         self._measure()
-        self.write(ENTER)
+        self.write(f"{ENTER}{MOUSE if self._mouse else ''}")
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.write(LEAVE)
+        self.write(f"{NO_MOUSE if self._mouse else ''}{LEAVE}")
         if self._saved is not None:
             with contextlib.suppress(termios.error):  # the terminal may be closed
                 termios.tcsetattr(IN, termios.TCSAFLUSH, self._saved)
