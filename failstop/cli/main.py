@@ -104,6 +104,7 @@ def main(argv: list[str] | None = None) -> int:
         _go_first()
     helpers.leave_current_folder()
     standard.fill()
+    standard.accept_any_bytes()
     code = 0
     try:
         code = _main(sys.argv[1:] if argv is None else argv)

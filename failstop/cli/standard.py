@@ -26,6 +26,13 @@ def fill() -> None:
         return  # /dev/null is missing, or no descriptor is left; the command still runs, because it may be a stop
 
 
+def accept_any_bytes() -> None:
+    """Replace bytes on standard input that are not text, for example of a terminal with another encoding. So they make
+    a wrong answer, and no traceback while a wheel may be turning. Call this before anything is read. Never raises."""
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
 def say(text: str) -> None:
     """Print a line on standard error, wrapped at spaces on a terminal. Never raises, so that a full disk or a closed
     terminal does not end the command."""

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.commands import FAILSTOP
+from tests.support.terminal import Terminal
+
 CLOSE = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split(',')]; os.execv(sys.argv[2], sys.argv[2:])"
 LOOK = """
 import json, os, sys
@@ -81,3 +84,20 @@ def test_a_refusal_keeps_its_code_when_nobody_can_be_told() -> None:
     with open("/dev/full", "w") as full:
         command = [sys.executable, "-m", "failstop", "status", "--name", "nobody-runs-this"]
         assert subprocess.run(command, stdout=full, stderr=full, timeout=60, check=False).returncode == 3
+
+
+def test_bytes_that_are_no_text_are_a_wrong_answer() -> None:
+    read = "from failstop.cli import standard; standard.accept_any_bytes(); print(ascii(input()))"
+    environ = {**os.environ, "PYTHONIOENCODING": "utf-8:strict"}
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; {read}"], input=b"\xe9s\n", env=environ, capture_output=True, check=False
+    )
+    assert done.stdout == b"'\\ufffds'\n"
+
+
+def test_bytes_that_are_no_text_end_no_question_of_setup(tmp_path: Path) -> None:
+    environ = {"STATE_DIRECTORY": str(tmp_path), "PYTHONIOENCODING": "utf-8:strict"}
+    with Terminal(*FAILSTOP, "setup", patience_s=60.0, environ=environ) as person:
+        person.reads("Which port is the board at?")
+        person.presses(b"/dev/tty\xe9\n")
+        person.reads("does not exist: plug the board in, or type another path")
