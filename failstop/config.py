@@ -34,7 +34,7 @@ def chosen(name: str, path: str | None) -> str | None:
     """The settings file to use: `path` if given, else the installed file of this instance. Without `path`, None if no
     file is installed. This user may not be able to read the file."""
     default = installed(name)
-    return path or (default if os.path.exists(default) else None)
+    return (default if os.path.exists(default) else None) if path is None else path
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:
@@ -87,8 +87,10 @@ def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool])
 def read(path: str | None) -> dict[str, object]:
     """Read the values that a settings file sets, by whole key, without checking them. Without `path`, there are no
     values. Whatever the file contains, this raises only SettingError."""
-    if not path:
+    if path is None:
         return {}
+    if not path:
+        raise SettingError("the path of the configuration is empty: name a file")
     text = ""
     try:
         # imported only if a file was named, because the parser takes time to load

@@ -302,6 +302,16 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, captured.out, captured.err
 
 
+@pytest.mark.parametrize(
+    "words", [("config", "--check", ""), ("config", "--config", ""), ("config", "--within", "0.1", "--config", "")]
+)
+def test_a_path_of_no_letters_is_no_file(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    """An unset variable of a script, for one: it must not be the defaults without a word."""
+    code, out, err = run(capsys, *words)
+    assert (code, out) == (1, "")
+    assert "the path of the configuration is empty: name a file" in err
+
+
 def row(text: str, key: str) -> list[str]:
     return next(line.split() for line in text.splitlines() if line.startswith(f"{key} "))
 
