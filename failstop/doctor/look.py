@@ -3,6 +3,7 @@ when a check first needs it. A Finding is one result of a check, with a remedy."
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import shlex
@@ -22,7 +23,7 @@ from failstop.files.instance import DEFAULT_NAME, option
 from failstop.instances import unit_of
 from failstop.messages import layout, segments
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import Settings
+from failstop.policy.settings import BY_KEY, Settings
 
 OK = "ok"
 SKIP = "skip"
@@ -32,6 +33,8 @@ LEVELS = (OK, SKIP, WARN, FAIL)
 """The levels of a finding. `ok`: checked, and fine. `skip`: not checked, or nothing to check. `warn`: failstop works,
 but less reliably than it could. `fail`: a stop may be missing or late, or the service can't run."""
 
+DEVICE = "device.path"
+BOARD = "board."
 PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,MainPID,NRestarts"
 
 
@@ -55,6 +58,18 @@ ok, skip, warn, fail = (partial(_found, level) for level in LEVELS)
 """Functions that return the result of a check as a list with one Finding. The arguments are text, fix and advice."""
 
 
+def _named(path: str | None) -> Settings:
+    """The defaults, but with the port and the board that the file names, if these can be read and are allowed."""
+    found: dict[str, object] = {}
+    with contextlib.suppress(SettingError):
+        read = config.read(path)
+        for key in (each for each in read if each in BY_KEY and (each == DEVICE or each.startswith(BOARD))):
+            with contextlib.suppress(SettingError):
+                found[key] = BY_KEY[key].check(read[key])
+        return Settings(found)
+    return Settings()
+
+
 @dataclasses.dataclass(eq=False)
 class Look:
     """The service and the port to check, and the facts about them. Each fact is found when it is first needed. A test
@@ -72,12 +87,13 @@ class Look:
     @cached_property
     def settings(self) -> tuple[str, Settings, str]:
         """(path of the settings file, settings, problem). The path is empty if there is no file. If the file can't be
-        used, `problem` is one line about it, and the settings are the defaults."""
+        used, `problem` is one line about it. Then the settings are the defaults, but with the port and the board that
+        the file names, because the service uses those even if another setting is wrong."""
         path = config.chosen(self.name, self.config_path)
         try:
             return path or "", config.load(path), ""
         except SettingError as error:
-            return path or "", Settings(), str(error)
+            return path or "", _named(path), str(error)
 
     @cached_property
     def active_settings(self) -> Settings:
@@ -134,7 +150,8 @@ class Look:
         if self.state:
             return self.state.device.path, "from the running service"
         path, found, problem = self.settings
-        return found.text("device.path"), "the default" if problem else path or "the default"
+        named = found.text(DEVICE)
+        return named, "the default" if problem and named == Settings().text(DEVICE) else path or "the default"
 
     @cached_property
     def node(self) -> Node | None:

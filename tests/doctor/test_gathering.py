@@ -112,6 +112,20 @@ def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_
     assert found.text == f"no USB device; a board of the kind {tmp_path}/tank may be at any port"
 
 
+def test_the_port_and_the_board_of_a_file_with_another_mistake_are_looked_at(tmp_path: Path) -> None:
+    """The service uses both too, for its first stop."""
+    file = tmp_path / "robot.toml"
+    file.write_text('device.path = "/nowhere/b"\nboard.kind = "vesc"\nboard.baud = "fast"\nlimits.vx_mps = 9\n')
+    look = Look("nobody-here", config_path=str(file))
+    assert (look.device, look.kind) == (("/nowhere/b", str(file)), "vesc")
+    assert "limits.vx_mps" in look.settings[-1] or "board.baud" in look.settings[-1]
+    [found] = port.present(look)
+    assert found.text.startswith(f"no device /nowhere/b ({file})")
+    assert any("VESC" in found.text for found in port.commanders(look))
+    file.write_text("half = ")
+    assert Look("nobody-here", config_path=str(file)).device[1] == "the default"
+
+
 SYSTEMCTL = """#!/bin/sh
 test "$1 $2" = "show failstop@left.service" && echo LoadState=loaded && echo MainPID=12
 """
