@@ -27,6 +27,12 @@ def test_what_is_no_time_is_refused_with_a_sentence(words: str, time: str, capsy
     assert sentence in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize("slow", ["-1e-1", "-.1", "-0.1"])
+def test_a_negative_speed_is_no_option_however_it_is_written(slow: str) -> None:
+    found = cli.load("drive")[0].parse_args(["1e-1", "0", slow])
+    assert (found.vx, found.vy, found.wz) == (0.1, 0.0, -0.1)
+
+
 @pytest.mark.parametrize("percent", ["0", "-5", "3", "101", "nan"])
 def test_a_limit_that_is_none_is_refused(trial: Trial, percent: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["limit", percent, "--name", trial.name]) == 2

@@ -3,6 +3,7 @@ answer."""
 
 from __future__ import annotations
 
+import re
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
@@ -43,6 +44,8 @@ failstop drive 0.1 0 -0.5 --for 3  # forward, turning right
 """,
 }
 
+NEGATIVE = re.compile(r"-\.?\d")
+"""How a negative number begins, for the parser of the arguments."""
 ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
@@ -54,6 +57,7 @@ been restarted by then, so the message need not tell the user to wait for the re
 def add_arguments(parser: ArgumentParser) -> None:
     """Define the options of one command, for example `drive`. The name of the parser ends with the command's name."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
+    parser._negative_number_matcher = NEGATIVE  # older Pythons take -1e-1 for an option
     if command == "limit":
         add(
             "percent",
