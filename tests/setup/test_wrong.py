@@ -19,7 +19,7 @@ from typing import Any
 import psutil
 import pytest
 
-from failstop import config
+from failstop import config, helpers
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.kinds import board_of
 from failstop.policy.halted import CONFIRMED, MAY_TURN
@@ -387,7 +387,7 @@ def test_why_the_service_enables_nothing_is_told(place: Path, monkeypatch: pytes
     port.touch()
     monkeypatch.setattr(rig, "Robot", Refuses)
     monkeypatch.setattr(rig, "READY_S", 0.1)
-    monkeypatch.setattr(rig.helpers, "python", lambda *_: ["sleep", "60"])
+    monkeypatch.setattr(helpers, "python", lambda *_: ["sleep", "60"])
     kind = {"board.kind": KIND, "wheels.layout": "differential"}
     halt = Halt(str(port), board_of(KIND, 1.0, 0.0), print)
     with (
