@@ -9,11 +9,18 @@ from math import sqrt
 
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
+from failstop.api.snapshot import Imu
 from failstop.api.state import State
+from failstop.messages import layout
 
 KEPT = 256
 CHECK_S = 0.5
 """How often to read new events, in seconds."""
+SAMPLE_S = 0.08
+"""The shortest time between two samples of the vibration, in seconds. A bit shorter than the time between two looks of
+a program that looks ten times per second."""
+SILENT_S = 1.0
+"""An IMU that has not reported for this long is silent, in seconds."""
 WINDOW = 10
 """The number of samples from which the vibration is computed. They cover one second."""
 
@@ -37,6 +44,7 @@ class Follower:
         self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
+        self._pid = 0
 
     def read(self, now_s: float) -> State | None:
         """The service's state. None if it can't be read; `note` then says why. `now_s`: time.monotonic()."""
@@ -44,7 +52,11 @@ class Follower:
             if now_s >= self._check_s:
                 self._check_s = now_s + CHECK_S
                 self._listen()
-            return self._robot.state
+            state = self._robot.state
+            if self._pid != (pid := state.processes[layout.SUPERVISOR].pid):
+                self._pid = pid
+                self._listen()  # another run: the events of the last one would belie its state
+            return state
         except FailstopError as error:
             self.absent = isinstance(error, NoService)
             self.note = f"no service named {self.name!r} is running" if self.absent else str(error)
@@ -65,6 +77,19 @@ class Vibration:
 
     def __init__(self) -> None:
         self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)
+        self._sample_s = float("-inf")
+        self._sample_ns = 0
+        self._newest: float | None = None
+
+    def update(self, imu: Imu | None, now_s: float) -> float | None:
+        """Add the newest sample of the IMU, unless it was added before or follows too soon. Returns the same as add().
+        You may call this as often as you like. `now_s`: time.monotonic()."""
+        if imu is None or now_s - imu.t_ns / 1e9 > SILENT_S:
+            self._newest = self.add(None)
+        elif imu.t_ns != self._sample_ns and now_s - self._sample_s >= SAMPLE_S:
+            self._sample_s, self._sample_ns = now_s, imu.t_ns
+            self._newest = self.add(imu.rate_radps)
+        return self._newest
 
     def add(self, rate_radps: Sequence[float] | None) -> float | None:
         """Add a reading of the gyro. Returns the standard deviation in rad/s, or None while there are too few

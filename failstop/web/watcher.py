@@ -52,8 +52,7 @@ class Watcher:
             self._show(view.absent(self._note, gone=self._gone))
             self._key = None
             return
-        imu = self.state.imu
-        self.values = view.live(self.state, self._vibration.add(imu.rate_radps if imu else None))
+        self.values = view.live(self.state, self._vibration.update(self.state.imu, now_s))
         key = self._what_matters(self.state)
         if key != self._key or now_s - self._drawn_s >= SLOW_S:
             self._key, self._drawn_s = key, now_s

@@ -173,6 +173,10 @@ def test_an_end_and_a_start_anew(trial: Trial) -> None:
     assert "no service named" in often.note
     assert often.absent
     trial.service.start()
+    assert often.events
+    soon = often.read(10.0)
+    assert soon is not None
+    assert {event.t for event in often.events}.isdisjoint(event.t for event in seldom.events), "they are of this run"
     after = seldom.read(CHECK_S)
     assert after is not None
     assert after.processes[layout.SUPERVISOR].pid == trial.service.pids()[layout.SUPERVISOR]

@@ -140,6 +140,32 @@ def test_a_silent_imu_is_not_still() -> None:
     assert found.add(None) is None
 
 
+def samples(count: int, every_s: float = 0.1) -> list[Imu]:
+    """Of a robot that shakes a bit."""
+    return [Imu(round(n * every_s * 1e9), (0.0, 0.0, 9.8), (0.001 * (n % 3), 0.0, 0.0)) for n in range(1, count + 1)]
+
+
+@pytest.mark.parametrize("every_s", [0.1, 0.25])
+def test_the_vibration_is_known_however_often_somebody_looks(every_s: float) -> None:
+    """Also of an IMU that reports more rarely than somebody looks, and that is not silent for it."""
+    found = Vibration()
+    for sample in samples(30, every_s):
+        looks = [found.update(sample, sample.t_ns / 1e9 + later_s) for later_s in (0.0, 0.001, every_s / 2)]
+    assert looks[0]
+    assert looks[1:] == looks[:1] * 2
+
+
+def test_an_imu_that_reports_no_more_or_repeats_itself_is_silent() -> None:
+    for silent in (lambda n: samples(20)[-1], lambda n: samples(20)[-1]._replace(t_ns=n * 10**8), lambda n: None):
+        found = Vibration()
+        for n, sample in enumerate(samples(20), 1):
+            shakes = found.update(sample, n / 10)
+        assert shakes
+        for n in range(21, 32):
+            shakes = found.update(silent(n), n / 10)
+        assert shakes is None
+
+
 def test_a_service_that_has_gone_is_said_with_what_to_do(installed: Callable[[str], None]) -> None:
     found, _ = _live()
     said = shown(found.gone("no service named 'failstop' is running", 80))
