@@ -154,8 +154,7 @@ class Calls(Session):
         Robot reports one operator at a time, so a new name replaces the previous operator. If motion is enabled and
         needs an operator, a stop is latched when the last operator is gone. Raises NoService.
         """
-        name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
-        self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
+        self._attended(operator(who), time.monotonic_ns() if proven_ns is None else proven_ns)
 
     def leave(self) -> None:
         """Report that the operator leaves. Raises NoService."""
@@ -276,6 +275,11 @@ class AsyncRobot(Calls):
         """Like Robot.events, but for `async for event in robot.events()`. It yields every event since this call, even
         if a task begins to iterate later. Raises NoService when the service ends."""
         return _follow(EventLog(self.name, past=past))
+
+
+def operator(who: str) -> str:
+    """Return the name under which `State.attended_by` has the operator `who`: on one line, and not too long."""
+    return records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
 
 
 class Robot(Calls):

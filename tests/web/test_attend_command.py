@@ -25,6 +25,7 @@ class Answering:
     def __init__(self, typist: Typist, columns: int = 80) -> None:
         self._typist = typist
         self._columns = columns
+        self.seen = b""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
@@ -42,6 +43,7 @@ class Answering:
                 written = os.read(self._typist.master, 65536)
             except (BlockingIOError, OSError):
                 continue
+            self.seen += written
             for row, column in re.findall(rb"\x1b\[(\d+);(\d+)H\x1b\[6n", written):
                 os.write(self._typist.master, b"\x1b[%s;%dR" % (row, min(int(column), self._columns)))
 
@@ -56,6 +58,26 @@ def test_it_attends_while_the_terminal_answers(trial: Trial) -> None:
         gone = "operator gone: Anna (terminal), was not heard"
         wait_for("the stop", lambda: trial.drive(0.1) or gone in str(trial.robot.state.estop))
         trial.board.wait_wheels(turning=False, timeout_s=10.0)
+
+
+def test_it_does_not_say_that_somebody_attends_whom_the_robot_does_not_count(trial: Trial) -> None:
+    """The terminal does not answer yet, then it does, then it does not any more."""
+    name = "Anna " * 30  # longer than the robot keeps it
+    with Typist.failstop("attend", "--name", trial.name, "--as", name) as typist:
+        shown = typist.wait("does not attend")
+        assert "this terminal has not answered yet" in " ".join(shown.split())
+        with Answering(typist) as terminal:
+            wait_for("Anna", lambda: b" attends" in terminal.seen)
+            assert trial.robot.state.attended_by
+        typist.wait(" s old")
+        assert trial.robot.state.attended_by == ()
+
+
+def test_without_a_terminal_at_its_input_it_is_refused(trial: Trial) -> None:
+    command = f"{' '.join(FAILSTOP)} attend --name {trial.name} < /dev/null; exit $?"
+    with Typist(["/bin/sh", "-c", command]) as typist:
+        assert typist.end() == 1
+        assert "standard input must be" in " ".join(typist.screen().split())
 
 
 def test_it_attends_on_the_narrowest_terminal(trial: Trial) -> None:

@@ -15,11 +15,11 @@ import psutil
 
 from failstop.api import verdict
 from failstop.api.errors import FailstopError, NoService
-from failstop.api.robot import Robot
+from failstop.api.robot import Robot, operator
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.cli.screen import summary
-from failstop.cli.screen.terminal import OUT, Terminal
+from failstop.cli.screen.terminal import IN, OUT, Terminal
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
 EXAMPLES = """\
@@ -108,9 +108,11 @@ def main(arguments: Namespace) -> int:
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
         )
+    if not os.isatty(IN):
+        raise FailstopError("standard input must be the operator's terminal, because it proves that somebody is there")
     questions = Questions()
     user = arguments.who or os.environ.get("SUDO_USER") or os.environ.get("USER") or os.getuid()
-    who = f"{user} (terminal)"
+    who = operator(f"{user} (terminal)")
     with Robot(arguments.name, client="failstop attend") as robot, Terminal() as terminal:
         for typed, now_s in terminal.turns(PERIOD_S):
             keys = questions.typed(typed).lower()
@@ -121,7 +123,7 @@ def main(arguments: Namespace) -> int:
             if b"q" in keys:
                 return 0
             if now_s is not None:
-                terminal.draw(_lines(robot, who, terminal.columns))
+                terminal.draw(_lines(robot, who, _answered(questions.proven_ns, now_s), terminal.columns))
                 if terminal.writable():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows, _width()))
     return 128 + terminal.ended
@@ -153,14 +155,27 @@ def _width() -> int:
     return style.LEAST_COLUMNS
 
 
-def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
-    head: list[Line] = [[(f"{who} attends", STRONG), ("   space stops, q leaves", DIM)], []]
+def _answered(proven_ns: int, now_s: float) -> str:
+    """Return how this terminal has answered, in words. `proven_ns`: when the newest answered question was asked. It is
+    0 if there was no answer yet. `now_s`: time.monotonic()."""
+    if not proven_ns:
+        return "this terminal has not answered yet where its cursor is, so use one that does"
+    return f"the newest answer of this terminal is {max(0.0, now_s - proven_ns / 1e9):.1f} s old"
+
+
+def _lines(robot: Robot, who: str, answered: str, columns: int) -> list[Line]:
+    keys = ("   space stops, q leaves", DIM)
     try:
         state = robot.state
     except FailstopError as error:
         word = verdict.NO_SERVICE if isinstance(error, NoService) else verdict.UNREADABLE
-        return head + style.wrap([(f"{word}  ", FAIL), (str(error), STRONG)], columns, 0)
+        failed = style.wrap([(f"{word}  ", FAIL), (str(error), STRONG)], columns, 0)
+        return [[(f"{who} does not attend", FAIL), keys], [], *failed]
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
-        rows += [[], [('this robot needs nobody to attend, because attend.required is "off"', WARN)]]
-    return [*head, *rows]
+        free = 'this robot needs nobody to attend, because attend.required is "off"'
+        return [[(who, STRONG), keys], [], *rows, [], [(free, WARN)]]
+    if who in state.attended_by:
+        return [[(f"{who} attends", STRONG), keys], [], *rows]
+    head = [[(f"{who} does not attend", FAIL), keys], *style.wrap([(answered, WARN)], columns, 0)]
+    return [*head, [], *rows]
