@@ -12,6 +12,7 @@ import contextlib
 import time
 from math import isfinite
 
+from failstop.api import client
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.policy.settings import FIRST_SOURCE, UNATTENDED_DRIVE
@@ -60,8 +61,9 @@ class Driving:
         self._robot: Robot | None = None
         self._driver: tuple[Viewer, str] | None = None
         self._last_s = 0.0
-        self._chosen: set[str] = set()
-        """The ids of devices whose operators have chosen a speed limit since they began to attend."""
+        self._chosen: dict[str, str] = {}
+        """The ids of devices whose operators have chosen a speed limit since they began to attend. Each has the run of
+        the service in which it was chosen (see run()), because the next run begins without a limit."""
         self._spent: set[Viewer] = set()
         """Viewers whose stick moves nothing until they let go of it. While such a viewer held the stick, motion was
         disabled or enabled, or the robot was stopped (see `_taken`). Even if motion is enabled now, the viewer must
@@ -74,11 +76,22 @@ class Driving:
     def has_chosen(self, device: Device | None) -> bool:
         """Return False if the operator of this device must choose a speed limit before driving. True if one was chosen,
         or if this device can't drive: driving is off, or the device is not paired."""
-        return not self.on or device is None or device.id in self._chosen
+        return not self.on or device is None or self._knows(device.id)
 
-    def chose(self, device: str) -> None:
-        """Note that the operator of this device has chosen a speed limit."""
-        self._chosen.add(device)
+    def run(self) -> str:
+        """Return a name of the service's present run. Empty if no service is running."""
+        with contextlib.suppress(FailstopError):
+            return client.run(self._name)[0]
+        return ""
+
+    def _knows(self, device: str) -> bool:
+        found = self._chosen.get(device)
+        return bool(found) and found == self.run()
+
+    def chose(self, device: str, run: str) -> None:
+        """Note that the operator of this device has chosen a speed limit. `run`: the run of the service in which the
+        limit was requested, as run() returns it."""
+        self._chosen[device] = run
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
         """Carry out a driving command of a viewer that attends. Returns why the robot does not obey, or "". `said`: the
@@ -87,7 +100,7 @@ class Driving:
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
-        if device.id not in self._chosen:
+        if not self._knows(device.id):
             return LIMIT_FIRST
         if self._driver and self._driver[0] is not viewer and time.monotonic() - self._last_s < OTHER_S:
             return f"{self._driver[1]} drives"
@@ -136,7 +149,7 @@ class Driving:
         if (device := viewer.device()) and device.id not in {
             found.id for each in attending if (found := each.device())
         }:
-            self._chosen.discard(device.id)
+            self._chosen.pop(device.id, None)
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:

@@ -11,6 +11,7 @@ from tornado.web import HTTPError, RequestHandler
 
 from failstop.api.errors import FailstopError
 from failstop.api.words import ON_PAGE
+from failstop.files.instance import DEFAULT_NAME
 from failstop.web import assets, devices, guard, lease, messages
 
 TYPE_CHECKING = False
@@ -83,8 +84,10 @@ class Guarded(RequestHandler):
     @property
     def cookie(self) -> str:
         """The name of the cookie with the device's token. The prefix __Host- makes browsers accept the cookie only over
-        HTTPS, and only from the robot itself. Over plain HTTP the name has no prefix."""
-        return "__Host-failstop" if self.scheme == "https" else "failstop"
+        HTTPS, and only from the robot itself. Over plain HTTP the name has no prefix. The pages of several services on
+        one computer get each other's cookies, because browsers ignore the port, so the name contains the service."""
+        own = "failstop" if self.page.name == DEFAULT_NAME else f"failstop-{self.page.name}"
+        return f"__Host-{own}" if self.scheme == "https" else own
 
     def token(self) -> str:
         """Return the device's token from the cookie. Empty if the browser sent none."""
@@ -236,10 +239,11 @@ class Verb(Guarded):
         if verb == "limit" and percent is not None and percent > self.page.limit():
             self.refuse(409, "to raise the limit, hold its button on the page")
             return
+        run = self.page.driving.run()
         done, said = await self.page.workers.ask(verb, self.who(), percent)
         if done:
             if verb == "limit":
-                self.page.driving.chose(device.id)
+                self.page.driving.chose(device.id, run)
             self.finish({"said": said})
         else:
             self.refuse(409, said)

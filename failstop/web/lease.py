@@ -26,7 +26,8 @@ def key_of(token: str) -> bytes:
 
 def answer_to(nonce: str, key: bytes) -> str:
     """Return the correct answer to a nonce, from a device that has this key."""
-    return hmac.digest(key, nonce.encode(), "sha256").hex()
+    # A command of a browser may hold half a character.
+    return hmac.digest(key, nonce.encode("utf-8", "surrogatepass"), "sha256").hex()
 
 
 class Lease:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tornado.iostream import IOStream
 
     from failstop.policy.settings import Settings
+    from failstop.web.lease import Lease
     from failstop.web.source import Source
     from failstop.web.viewer import Closing, Viewer
 
@@ -65,6 +66,7 @@ class Page:
         self.workers = Workers(name)
         self.driving = Driving(name, settings)
         self.attending = Attending(name, self.driving.end)
+        self._lease_s = float(settings["attend.lease_s"])
         self.incidents = Incidents(name)
         self._storage = storage.Storage(storage.folder(name, os.environ))
         self.devices = self._storage.devices() if self.pairing_on else devices.Devices()
@@ -109,6 +111,14 @@ class Page:
         running."""
         self.look()
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
+
+    def counts(self, held: Lease) -> bool:
+        """Return True if the operator whose device has proved this lease counts as present: the newest proof is new
+        enough, and the gate counts an operator. Only the newest proof of all operators is reported to the gate, so the
+        gate need not know the name of this one."""
+        state = self.watcher.state
+        passed_s = (time.monotonic_ns() - held.proven_ns) / 1e9
+        return state is not None and state.attended_by != () and held.proven_ns > 0 and passed_s <= self._lease_s
 
     def pair(self, code: str, name: str) -> str:
         """Pair a new device, and return its token. Raises NotPaired if the code is not valid or there are too many

@@ -57,7 +57,6 @@ class StopSocket(Socket):
         super().open()
         self.page.stops.add(self, str(self.request.remote_ip))
         self.page.stop_pipe.prepare()
-        self._who = self.who()
 
     def on_close(self) -> None:
         """Remove this connection from the page."""
@@ -72,7 +71,7 @@ class StopSocket(Socket):
         """Request the stop in the message, before doing anything else. While MOST_ASKED stops of this connection wait
         for their answers, a further stop gets no answer, but is requested too."""
         if identity := messages.read(message).get("stop"):
-            request = self.page.asked.ask(self._who, identity)
+            request = self.page.asked.ask(self.who(), identity)  # by its present name: it may be revoked since
             if len(self._asked) < MOST_ASKED:
                 asked = asyncio.ensure_future(self._answer(identity, request))
                 self._asked.add(asked)
@@ -94,6 +93,8 @@ class Live(Socket):
         self._sent_s = 0.0
         self._hold: hold.Hold | None = None
         self._asked: set[asyncio.Task[None]] = set()
+        self._heard: tuple[int, float] | None = None
+        """The newest time that the page has sent, by the page's clock, and when it arrived (time.monotonic())."""
 
     def prepare(self) -> None:
         """Let the guard check the request. If the page already has MOST_VIEWERS viewers, the new viewer is refused. But
@@ -119,9 +120,11 @@ class Live(Socket):
 
     def on_message(self, message: str | bytes) -> None:
         """Handle a message of the page. A message says that the operator begins or ends attending, holds a button, or
-        lets go of the stick. Or it answers a nonce. Other messages are ignored."""
+        lets go of the stick. Or it answers a nonce, or has the page's time. Other messages are ignored."""
         found = messages.read(message)
-        if found.get("attend") is True:
+        if (asked := messages.whole(found.get("asked"), MOST_EPOCH)) is not None:
+            self._heard = asked, time.monotonic()
+        elif found.get("attend") is True:
             self._attend()
         elif found.get("attend") is False:
             self.page.attending.end(self)
@@ -136,15 +139,18 @@ class Live(Socket):
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
         """Handle the device's answer to a nonce. A right answer proves that the device was present. The answer may
-        contain a driving command. If it contains none, the viewer counts as having let go of the stick."""
+        contain a driving command. If it contains none, the viewer counts as having let go of the stick. If the proof
+        can't be reported, for example because the service was restarted, the viewer no longer attends: then the
+        operator must press ATTEND and choose the speed limit again."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
             self.page.attending.end(self)
             return
         if wrong := self.page.attending.proven(self):
+            self.page.attending.end(self)
             self.send({"attend": wrong})
-        if not drive:
+        elif not drive:
             self.page.driving.release(self)
         elif wrong := self.page.driving.command(self, drive, held.proven_ns, self.page.watcher.state):
             self.send({"drive": wrong})
@@ -195,9 +201,10 @@ class Live(Socket):
         elif self.page.newest_stop() != held.epoch:
             done, said = False, hold.NEWER_STOP
         else:
+            run = self.page.driving.run()
             done, said = await self.page.workers.ask(held.verb, self.who(), held.percent, held.epoch)
             if done and held.verb == "limit" and (device := self.device()):
-                self.page.driving.chose(device.id)
+                self.page.driving.chose(device.id, run)
         self._end(held.identity, said, done=done)
 
     def _end(self, identity: str, said: str, *, done: bool = False) -> None:
@@ -213,7 +220,11 @@ class Live(Socket):
             return
         watcher = self.page.watcher
         message: dict[str, Any] = {"t": unix_s, "live": watcher.values}
+        if self._heard:
+            asked, at_s = self._heard
+            message["asked"] = asked, int(max(0.0, now_s - at_s) * 1e3)
         if held := self.page.attending.of(self):
+            message["counted"] = self.page.counts(held)
             message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
             message["chosen"] = self.page.driving.has_chosen(self.device())
         if self._number != watcher.number:

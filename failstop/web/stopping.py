@@ -78,14 +78,21 @@ class Asked:
         """`pipe`: the stop pipe of the service."""
         self._pipe = pipe
         self._ids: dict[str, int] = {}
+        self._presses: dict[str, int] = {}
 
     def ask(self, who: str, identity: object) -> Request:
-        """Request a stop at once, unless a stop with this id was requested before."""
-        unix_s = time.time()
+        """Request a stop at once, unless a stop with this id was requested before. A page asks for one touch again and
+        again, with ids that differ only after a dash. Their requests have the time of the first that was sent to the
+        service, because the page compares this time with that of the stop."""
+        known = str(identity)[:MOST_OF_AN_ID] if identity else ""
         try:
-            return Request(unix_s, self._ask(who, str(identity)[:MOST_OF_AN_ID] if identity else ""))
+            asked_ns = self._ask(who, known)
         except FailstopError as error:
-            return Request(unix_s, error=error)
+            return Request(time.time(), error=error)
+        first_ns = self._presses.setdefault(known.partition("-")[0], asked_ns) if known else asked_ns
+        if len(self._presses) > MOST_IDS:
+            del self._presses[next(iter(self._presses))]
+        return Request(time.time() - (time.monotonic_ns() - first_ns) / 1e9, asked_ns)
 
     def _ask(self, who: str, known: str) -> int:
         """Request a stop, unless a stop with this id was requested before. Returns the time of the first request

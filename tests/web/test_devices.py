@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from failstop.files.instance import DEFAULT_NAME
 from failstop.web import devices
 from failstop.web.devices import ALPHABET, CODE_S, MOST, TRIES, Device, Devices, NotPaired, Pairing
+from failstop.web.handlers import Guarded
 from failstop.web.limits import MOST_KEYS, Limit
 
 CODE = "AB12-CD34"
@@ -158,3 +163,15 @@ def test_never_more_than_the_burst_and_the_rate(steps: list[float], burst: int) 
         now += step
         given_out += limit.spend("a", now)
     assert given_out <= burst + now + 1e-6
+
+
+def test_each_service_of_a_computer_has_its_own_cookie() -> None:
+    """A browser sends the cookies of one page to the other, because it ignores the port."""
+    handler = Guarded.__new__(Guarded)
+    names = set()
+    for scheme, name in itertools.product(("http", "https"), (DEFAULT_NAME, "left", "right")):
+        handler.page = SimpleNamespace(name=name, scheme=scheme)  # type: ignore[assignment]
+        assert handler.cookie.startswith("__Host-") == (scheme == "https")
+        names.add(handler.cookie)
+    assert len(names) == 6
+    assert "failstop" in names

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -202,6 +203,37 @@ def test_the_speed_limit_is_chosen_first_and_again_each_time(trial: Trial, web: 
         assert web.post("/api/limit", {"percent": 25}, anna)[0] == 200
         viewer.stay(0.4, FORWARD)
         assert motion(trial)
+
+
+def test_the_speed_limit_is_chosen_again_after_a_restart_of_the_service(tmp_path: Path) -> None:
+    """The next run has no limit, and a page stays open all the time."""
+    path = tmp_path / "failstop.toml"
+    path.write_text(SETTINGS)
+    own = Trial(f"web-limit-{os.getpid()}", ("--config", str(path)))
+    with own, Web(own.name, "--config", str(path), state=own.state) as page:
+        anna, bert = page.pair("Anna"), page.pair("Bert")
+        with Viewer(page, anna) as viewer, Viewer(page, bert) as idle:
+            viewer.attend()
+            for headers in (anna, bert):
+                assert page.post("/api/limit", {"percent": 10}, headers)[0] == 200
+            enable(own, viewer)
+            viewer.stay(0.5, FORWARD)
+            assert own.robot.state.body_vel.vx_mps == pytest.approx(FULL_MPS / 10, abs=0.001)
+            own.service.end()
+            since = len(viewer.seen)
+            wait_for("an answer", lambda: viewer.stay(0.1) or any("attend" in each for each in viewer.seen[since:]))
+            viewer.stay(0.3)
+            assert "nonce" not in viewer.next(), "it does not attend any more"
+            own.service.start()
+            for each in (viewer, idle):
+                each.seen.clear()
+                each.attend()
+                enable(own, each)
+                each.stay(0.4, FORWARD)
+                assert told(each)[-1] == driving.LIMIT_FIRST
+                assert [message["chosen"] for message in each.seen if "chosen" in message][-1] is False
+                each.send(attend=False)
+            assert motion(own) == 0
 
 
 @pytest.mark.parametrize("attends", [False, True])

@@ -85,6 +85,14 @@ def test_a_command_is_proven_with_its_answer_and_no_other_is() -> None:
     assert not lease.accept(first, proof, "0.50 0.00"), "it counts once"
 
 
+def test_half_a_character_is_a_command_like_another() -> None:
+    """JSON can hold one, and UTF-8 can't."""
+    lease = Lease(KEY)
+    (nonce,) = nonces(lease, 1)
+    assert not lease.accept(nonce, answer_to(f"{nonce}?", KEY), "\ud800")
+    assert lease.accept(nonce, answer_to(f"{nonce}\ud800", KEY), "\ud800")
+
+
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 5)), max_size=40))
 def test_whatever_is_answered_it_proves_the_newest_nonce_that_still_counted(steps: list[tuple[bool, int]]) -> None:
     lease = Lease(KEY)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.files import instance
-from failstop.web import connections, hold, page
+from failstop.web import connections, control, hold, page, stopping
 from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
@@ -24,6 +24,7 @@ from tests.web.viewer import Viewer
 
 IDLE = connections.MOST + 5
 STOPS = "/api/stop/live"
+EQUAL_S = 0.15
 DEEP = "[" * 4000
 TOO_LARGE = "1" + "0" * 3000
 POLL_S = 0.2
@@ -88,6 +89,55 @@ def test_a_stop_reaches_the_service_that_was_started_anew_under_an_open_page() -
             assert stopping.next()["written"]
             wait_for("the latch", lambda: own.robot.state.estop)
             assert own.robot.state.epoch > before
+
+
+def test_all_tries_of_one_touch_have_the_time_of_the_first_that_was_sent() -> None:
+    """The page compares it with the time of the stop, which may be that of a try whose answer was lost."""
+    sent: list[str] = []
+
+    def send(who: str) -> None:
+        sent.append(who)
+        until_s = time.monotonic() + 2 * EQUAL_S
+        while time.monotonic() < until_s:
+            pass
+
+    asked = stopping.Asked(SimpleNamespace(send=send))  # type: ignore[arg-type]
+    first, again, other = (asked.ask("Anna", identity) for identity in ("a", "a-1", "b"))
+    assert len(sent) == 3
+    assert again.asked_ns > first.asked_ns
+    assert again.unix_s == pytest.approx(first.unix_s, abs=EQUAL_S)
+    assert other.unix_s > first.unix_s + EQUAL_S
+
+
+def test_a_device_that_was_revoked_stops_in_its_own_name_no_more(trial: Trial, web: Web) -> None:
+    """It may stop as everybody may, also by a connection from before."""
+    with Viewer(web, web.pair("Dora"), path=STOPS) as viewer:
+        listed = control.ask(web.name, web.environment, "GET", "/devices")["devices"]
+        (identity,) = [each["id"] for each in listed if each["name"] == "Dora"]
+        control.ask(web.name, web.environment, "POST", "/devices", {"id": identity})
+        viewer.send(stop="by a stranger")
+        assert viewer.next()["written"]
+        wait_for("the latch", lambda: trial.robot.state.estop)
+        assert "page at 127.0.0.1" in str(trial.robot.state.estop)
+    trial.robot.reset()
+
+
+def test_a_page_learns_how_old_a_message_may_be(web: Web) -> None:
+    with Viewer(web) as viewer:
+        assert "asked" not in viewer.next()
+        for wrong in (True, -1, "1", 1e300, [1], None):
+            viewer.send(asked=wrong)
+        viewer.send(asked=4711)
+        while "asked" not in (found := viewer.next()):
+            pass
+        number, passed_ms = found["asked"]
+        assert (number, passed_ms >= 0) == (4711, True)
+        until_s = time.monotonic() + 10
+        while viewer.next()["asked"][1] < passed_ms + 200:
+            assert time.monotonic() < until_s
+        viewer.send(asked=4712)
+        while viewer.next()["asked"][0] != 4712:
+            assert time.monotonic() < until_s
 
 
 def test_idle_connections_of_one_address_close_no_websocket(trial: Trial, web: Web) -> None:
