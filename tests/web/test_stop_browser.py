@@ -33,6 +33,7 @@ TWENTY_TIMES = """
   window.fetch = (path, ...more) => { if (path === "/api/stop") window.asked++; return wide(path, ...more); };
 })()"""
 """A page whose timers are twenty times as fast, and that counts its requests to stop."""
+OLDER_S = 1.0
 FIRST = 65
 """Tries; after 60 it is tried less often."""
 
@@ -135,7 +136,10 @@ def test_opened_cards_take_one_connection_and_give_it_up_for_a_stop(trial: Trial
     wait_for("the connection to be given up", lambda: not front.held)
 
 
-STOPPED = "dispatchEvent(new CustomEvent('stopped', {detail: {asked: Date.now() / 1000, written: true, view: FACE}}))"
+STOPPED = (
+    "dispatchEvent(new CustomEvent('stopped', "
+    "{detail: {asked: Date.now() / 1000, sent: performance.now(), written: true, view: FACE}}))"
+)
 LATCHED = "{...view, latched: true, epoch: view.epoch + 1}"
 
 
@@ -202,6 +206,32 @@ def test_stop_is_tried_until_it_is_written_however_long(trial: Trial, front: Fro
     wait_for("the stop", lambda: trial.robot.state.epoch > before, 10)
     tab.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
     tab.open("about:blank")
+
+
+def test_an_older_stop_that_the_page_learns_of_late_does_not_end_the_tries(
+    trial: Trial, front: Front, tab: Tab
+) -> None:
+    """Without contact, somebody else stops the robot. Then the state comes back before this page's STOP gets out."""
+    tab.run("addEventListener('view', ({detail}) => { window.view = detail; })")
+    front.to, to = 9, front.to
+    front.cut()
+    tab.until(f"{WORD} === 'NO CONTACT'")
+    trial.robot.estop("somebody else")
+    wait_for("the latch", lambda: trial.robot.state.estop)
+    before = trial.robot.state.epoch
+    since_s = time.time()
+    wait_for("a stop that is older than the touch", lambda: time.time() - since_s > OLDER_S)
+    tab.tap("#stop")
+    front.holds = (TAKEN, "/api/stop")
+    front.to = to
+    tab.until("window.view && view.latched && view.stop.acknowledged")
+    assert "written" not in tab.run(SAID)
+    assert trial.robot.state.epoch == before
+    front.holds = (TAKEN,)
+    wait_for("the stop", lambda: trial.robot.state.epoch > before)
+    tab.until(f"{SAID}.includes('written') && !{SAID}.includes('NOT')")
+    tab.until(f"{SAID}.includes('a stop was latched already')")
+    assert "acknowledged" not in tab.run(SAID), "it is the proof of another stop"
 
 
 def test_a_websocket_that_neither_opens_nor_fails_leaves_the_page_state_and_stop(

@@ -6,7 +6,7 @@ const AGAIN_MS = 1000, LATER_MS = 4000; // the file of a stop is written some se
 const FIRST = 5; // older incidents are shown after a touch
 const cards = new Map(); // kept, so that an open card stays open
 const rest = node("details", ""), restName = node("summary", "");
-let shown = "", last = 0;
+let shown = "", last = "";
 
 function node(kind, content, more) {
   return Object.assign(document.createElement(kind), {textContent: content}, more);
@@ -86,7 +86,9 @@ function arrange(place, wanted) {
 
 addEventListener("view", ({detail}) => {
   const newest = detail.events.findLast(({kind}) => kind === "incident");
-  if (newest && newest.seq !== last) { last = newest.seq; look(); setTimeout(look, LATER_MS); }
+  const found = newest ? `${detail.run} ${newest.seq} ${newest.t}` : ""; // each run numbers its events from the beginning
+  if (found && found !== last) { look(); setTimeout(look, LATER_MS); }
+  last = found;
 });
 addEventListener("link-open", look);
 look();

@@ -9,8 +9,10 @@ import "/incidents.js";
 import "/view.js";
 
 const $ = (id) => document.getElementById(id);
-const STALE_MS = 1000; // after this long without a message, the last state is shown as old
+const STALE_MS = 1000; // a state that may be older than this is not shown as the present one
 const REST_MS = 300;
+const EARLY_S = 0.5; // how much earlier than its request a stop may seem, by the robot's clock
+const TIME_ONLY_S = 12 * 3600; // a time further away than this is shown with its date
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawSeldom = seldom(drawLive);
 const drawn = {}; // the content of each list, which is rebuilt only when that changes, because each rebuild costs a layout
@@ -20,12 +22,22 @@ function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
 }
 
+function now() {
+  return Date.now() / 1000 + behind; // by the robot's clock
+}
+
+function dated(unix) {
+  return Math.abs(now() - unix) > TIME_ONLY_S;
+}
+
 function clock(unix) {
-  return new Date(unix * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23"});
+  const at = new Date(unix * 1000);
+  if (dated(unix)) return at.toLocaleString([], {dateStyle: "medium", timeStyle: "medium", hourCycle: "h23"});
+  return at.toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23"});
 }
 
 function ago(unix) {
-  const seconds = Math.max(0, Date.now() / 1000 + behind - unix);
+  const seconds = Math.max(0, now() - unix);
   if (seconds < 120) return `${Math.round(seconds)} s ago`;
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
 }
@@ -84,8 +96,10 @@ function showStop() {
     item.replaceChildren(level, node("b", shown));
   }
   if (own === null || !view.latched) return;
-  // Whether this touch has latched it. Without a view from before the touch, only the times can show it.
-  const first = own.earlier === undefined ? stop.t >= own.asked - 0.5 : stop.id !== own.earlier;
+  // Whether this touch has latched it: only a stop that came after the robot heard of the touch. Without contact, the page may
+  // not know an earlier stop.
+  if (stop.id !== own.earlier && stop.t >= own.asked - EARLY_S) own.latched = stop.id;
+  const first = stop.id === own.latched;
   if (first && !stop.written) {
     text("stop-said", `NOT SENT: use the POWER SWITCH`);
     $("stop").dataset.phase = "failed";
@@ -139,7 +153,8 @@ function seen() {
 
 function showEvents() {
   const newest = drawn.events || [], rows = $("events");
-  const known = view.events.findIndex(({seq, t}) => seq === newest[0] && t === newest[1]);
+  const old = view.events.filter(({t}) => dated(t)).length; // an event gets its date when it becomes old
+  const known = old === newest[2] ? view.events.findIndex(({seq, t}) => seq === newest[0] && t === newest[1]) : -1;
   if (known < 0) rows.replaceChildren();
   rows.prepend(...view.events.slice(known + 1).reverse().map(({t, level, text: said}) => {
     const row = document.createElement("li");
@@ -149,7 +164,7 @@ function showEvents() {
   }));
   while (rows.childElementCount > view.events.length) rows.lastChild.remove();
   const last = view.events.at(-1);
-  drawn.events = last && [last.seq, last.t];
+  drawn.events = last && [last.seq, last.t, old];
 }
 
 function node(kind, content) {
@@ -166,31 +181,40 @@ function showLive(values) {
 function drawLive() {
   const speed = live && Math.hypot(live[0], live[1]), shake = live && live[3];
   Object.values(charts).forEach((chart) => chart.draw());
-  const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = view && !view.imu ? "no IMU" : "IMU silent";
+  const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = !live ? "not known" : view && !view.imu ? "no IMU" : "IMU silent";
   text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s${steered}` : "not known");
   if ($("wheels")) text("wheels", seen());
   text("shake", shake === null || shake === undefined ? silent : `${shake.toFixed(1)} mrad/s`);
 }
 
+function late() {
+  return performance.now() - heard >= STALE_MS;
+}
+
 function lost() {
-  if (performance.now() - heard < STALE_MS || $("head").dataset.role === "lost") return;
+  if (!late()) return;
+  text("why", `The page gets no news from the robot in time.${view ? ` Last known: ${view.word}.` : ""}`);
+  if ($("head").dataset.role === "lost") return;
   $("head").dataset.role = "lost";
   $("word").classList.add("long");
   text("word", "NO CONTACT");
-  speak("NO CONTACT", "The page gets no news from the robot.");
-  text("why", `The page gets no news from the robot.${view ? ` Last known: ${view.word}.` : ""}`);
+  speak("NO CONTACT", "The page gets no news from the robot in time.");
   text("next", "STOP still tries to reach it. To be sure, use the POWER SWITCH.");
   text("since", "");
   showLive(null);
   drawLive();
 }
 
-function news(message) {
-  heard = performance.now();
-  behind = message.t - Date.now() / 1000;
-  if ("nonce" in message || "attend" in message || "drive" in message) dispatchEvent(new CustomEvent("lease", {detail: message}));
-  if ("live" in message) showLive(message.live);
+// `since`: the robot has sent this message at this time (performance.now()) or later.
+function news(message, since) {
+  heard = since;
+  behind = message.t - (Date.now() - (performance.now() - since)) / 1000;
+  if (["nonce", "attend", "drive"].some((word) => word in message)) {
+    dispatchEvent(new CustomEvent("lease", {detail: {...message, late: late()}}));
+  }
   if (message.view) view = message.view;
+  if ("live" in message) showLive(late() ? null : message.live);
+  if (late()) { lost(); return; }
   if (view && (message.view || $("head").dataset.role === "lost")) show();
   if (view) text("since", view.since ? `Since ${clock(view.since)}, ${ago(view.since)}` : "");
 }
@@ -202,7 +226,11 @@ addEventListener("stopping", () => {
 addEventListener("stopped", (event) => {
   speak("STOP was written", "");
   own = {asked: event.detail.asked, earlier, epoch: before + 1, run: (event.detail.view || view || {}).run};
-  if (event.detail.view && !(view && event.detail.view.epoch < view.epoch)) { view = event.detail.view; heard = performance.now(); show(); }
+  const {view: newer, sent} = event.detail; // the answer is not older than the request
+  if (!newer || performance.now() - sent >= STALE_MS || (view && newer.epoch < view.epoch)) return;
+  view = newer;
+  heard = Math.max(heard, sent);
+  show();
 });
 addEventListener("device", ({detail}) => {
   paired = !!detail.device;

@@ -12,6 +12,7 @@
   const PATIENT_MS = 3000; // how long to wait for the answer to a request, and for a connection
   const SILENT_MS = 1000; // after this long without an answer, a websocket counts as broken
   const CHECK_MS = 5000;
+  const EARLY_S = 0.5; // how much earlier than its request a stop may seem, by the robot's clock
   const CLICK_MS = 1000; // a click this soon after a touch belongs to the touch
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
@@ -81,8 +82,9 @@
     const at = performance.now(), each = {since: at, given: new AbortController()};
     own.open.filter(({since}) => at - since > PATIENT_MS).forEach((old) => old.given.abort());
     if (own.open.length >= MOST_OPEN) return;
+    const id = own.last;
     own.open.push(each);
-    ask("/api/stop", {id: own.last}, each.given.signal).then((found) => hear({id: own.id, ...found})).catch(() => {})
+    ask("/api/stop", {id}, each.given.signal).then((found) => hear({id, ...found})).catch(() => {})
       .finally(() => { own.open = own.open.filter((other) => other !== each); });
   }
 
@@ -92,7 +94,7 @@
     stop.asked ||= found.asked || 0;
     stop.wrong = found.error || "";
     stop.latched = !!found.view && found.view.latched;
-    if (found.written) done(stop, {...found, asked: stop.asked});
+    if (found.written) done(stop, {...found, asked: stop.asked, sent: stop.sent[found.id]});
   }
 
   function done(stop, found) {
@@ -105,7 +107,7 @@
 
   async function stop() {
     const id = Math.random().toString(36).slice(2);
-    const own = now = {id, last: id, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.id};
+    const own = now = {id, last: id, sent: {[id]: performance.now()}, open: [], asked: 0, wrong: "no answer", latched: false, before: view && view.stop && view.stop.id};
     const sent = send(id);
     dispatchEvent(new Event("stopping")); // requests that can wait give up their connections
     // Work of the browser on a picture or a request would delay the bytes of the websocket.
@@ -114,6 +116,7 @@
     if (navigator.vibrate) navigator.vibrate(40);
     for (let number = 0; now === own; number++) {
       own.last = number ? `${id}-${number}` : id; // each try is a new stop, because the last may be lost; both ways send the same one
+      own.sent[own.last] ||= performance.now();
       if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) reconnect();
       request(own);
       await new Promise((next) => setTimeout(next, number < OFTEN ? EVERY_MS : LATER_MS));
@@ -135,11 +138,13 @@
     } catch { setTimeout(check, CHECK_MS); }
   }
 
-  // The robot's state may show that a stop is written before any answer does.
+  // The robot's state may show that the stop is written before an answer does. Only a stop that came after the robot has heard
+  // of this touch counts: somebody else's earlier stop, of which the page hears late, must not end the tries.
   addEventListener("view", ({detail}) => {
     view = detail;
-    const newer = now && view.latched && view.stop && view.stop.written && view.stop.id !== now.before;
-    if (newer) done(now, {asked: now.asked || view.stop.t, written: true});
+    if (!now || !now.asked || !view.latched || !view.stop || !view.stop.written) return;
+    const newer = view.stop.id !== now.before && view.stop.t >= now.asked - EARLY_S;
+    if (newer) done(now, {asked: now.asked, written: true});
   });
   addEventListener("paired", connect); // the robot looks at the pairing only when a connection begins
   addEventListener("unstopped", () => { if (!now) rest(); });
