@@ -116,4 +116,4 @@ def test_the_end_of_the_service_and_its_return(watch: Typist, trial: Trial) -> N
     watch.wait("NO SERVICE")
     watch.resize(COLUMNS, 24)
     watch.wait("`failstop run --name")
-    assert f"--device {trial.board.link}" in watch.screen()
+    assert f"`failstop stop --name {trial.name}`" in watch.screen()

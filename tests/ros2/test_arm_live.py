@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import time
+from math import isfinite
 
 import pytest
 
@@ -84,7 +85,8 @@ def test_a_trajectory_by_the_action(scene: BridgeTrial, planner: Node) -> None:
     heard = planner.ask("fed_back")["feedback"]
     assert {tuple(row["joint_names"]) for row in heard} == {("base",)}
     desired = [row["desired"]["positions"][0] for row in heard]
-    assert max(desired) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
+    # Before the joint is read, nobody knows where it is told to be.
+    assert max(filter(isfinite, desired)) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
 
 
 def test_a_goal_that_is_cancelled_is_held(scene: BridgeTrial, planner: Node) -> None:

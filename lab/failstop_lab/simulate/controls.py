@@ -489,7 +489,7 @@ CONTROLS = (
     Mutant(
         "a driver's death at the guard port goes unnoticed",
         "guard_driver_dies",
-        ((GUARD_MODULE, "        if news.ended:\n            self._end()\n", ""),),
+        ((GUARD_MODULE, "        if news.ended:\n            self._end(emptied=news.emptied)\n", ""),),
         board="arduino",
         claims=("GUARD-1",),
     ),

@@ -152,7 +152,8 @@ class _Pipe:
                 found += part
         return found, True
 
-    def clean(self) -> bytes:
+    def clean(self, *, shared: bool, opened: bool) -> bytes:
+        """A pipe has no settings, and one driver at a time."""
         return self.read()[0]
 
     def write(self, data: bytes) -> bool:
@@ -180,11 +181,18 @@ class _Door:
         news = self._news.News()
         if self._life in ready:
             self._leave()
-            news.ended = news.any = True
+            news.ended = news.emptied = news.any = True
         elif not self.count and self._guarded.opened:
             news.any = True
             self.count = 1
         return news
+
+    @property
+    def vacant(self) -> bool:
+        return not self.count and not self._guarded.opened
+
+    def limit(self) -> None:
+        """The drivers of this machine come one after the other."""
 
     def abandoned(self) -> list[Any]:
         """No driver has a child."""
