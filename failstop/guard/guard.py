@@ -11,7 +11,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
 from failstop.guard.news import HungUp
-from failstop.guard.said import DRIVES, GUARD, REFUSED, WAITS
+from failstop.guard.said import DRIVES, GUARD, REFUSED, WAITS, WITHHELD
 from failstop.guard.talk import Talk
 from failstop.messages import records
 
@@ -57,7 +57,6 @@ LOOK_NS = 500_000_000
 """How often the guard checks whether the service still runs and whether the link to the guard port still exists."""
 SAY_NS = 2_000_000_000
 """How often the report about the driver is repeated. Without the repeats, the report would look out of date."""
-WITHHELD = "it was driving when failstop was restarted, so it must send zero or pause before it can drive"
 PAST_NS = 4_000_000_000
 """How long bytes from the board are kept. When a driver opens the port, the guard first gives the newest of these bytes
 to the driver's DriverLanguage."""

@@ -10,6 +10,7 @@ GUARD = "failstop guard"
 DRIVES = GUARDED
 WAITS = "no driver has opened the guard port "
 REFUSED = "failstop refused "
+WITHHELD = "it was driving when failstop was restarted, so it must send zero or pause before it can drive"
 
 
 def path_in(sees: str) -> str:

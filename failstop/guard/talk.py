@@ -46,11 +46,6 @@ class Command(Data):
     steering_rad: float | None = None
     stands_in: bool = False
 
-    @property
-    def moves(self) -> bool:
-        """True if the command has a speed other than zero."""
-        return any(self.speeds)
-
 
 class Talk:
     """What one driver has written, and which commands follow from it."""

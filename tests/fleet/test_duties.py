@@ -140,7 +140,7 @@ def test_a_stop_that_is_latched_already_confirms_it_once_the_service_has_heard_i
     deaf = dataclasses.replace(heard, device=dataclasses.replace(heard.device, link="deaf"))
     assert told(look(robot, deaf, 0.2)) == [[levels.ASKED]], "with the reason"
     another = dataclasses.replace(heard, cause=causes.DIED("gate"))
-    assert look(robot, another, 0.3) == [], "it was reset meanwhile, and what is told of the new one comes soon"
+    assert look(robot, another, 0.3) == [], "it was reset meanwhile, and the answer to the new one comes soon"
     assert told(look(robot, heard, 0.4)) == [[levels.ASKED, levels.WRITTEN, levels.ACKNOWLEDGED]]
 
 

@@ -85,7 +85,7 @@ def test_a_trajectory_by_the_action(scene: BridgeTrial, planner: Node) -> None:
     heard = planner.ask("fed_back")["feedback"]
     assert {tuple(row["joint_names"]) for row in heard} == {("base",)}
     desired = [row["desired"]["positions"][0] for row in heard]
-    # Before the joint is read, nobody knows where it is told to be.
+    # Until the joint has been read, its commanded position is not known.
     assert max(filter(isfinite, desired)) == pytest.approx(0.2, abs=0.05), "it goes by the point in the middle"
 
 
