@@ -90,9 +90,8 @@ class _Ends:
 
 
 def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
-    installed = config.installed(arguments.name)
     asked = {"board.kind": arguments.board} if arguments.board else {}
-    settings = config.load(arguments.config or (installed if os.path.exists(installed) else None), asked)
+    settings = config.load(config.chosen(arguments.name, arguments.config), asked)
     _print_line(f"a dry run, as the board {settings.text('board.kind')}: nothing moves")
     path = arguments.path or settings.text("guard.path") or os.path.join(folder, PORT)
     return _serve(Nothing(settings, _print_line), settings, path, ends)

@@ -66,12 +66,11 @@ def _settings(arguments: Namespace) -> tuple[Settings, Source]:
     installed settings file, else the defaults."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     changed = {key: value for key, value in given.items() if value is not None}
-    if not arguments.config:
+    if arguments.config is None:
         with contextlib.suppress(FailstopError):
             return config.checked({**StateReader(arguments.name).settings(), **changed}), Source(running=True)
-    installed = config.installed(arguments.name)
-    path = arguments.config or (installed if os.path.exists(installed) else "")
-    return config.load(path, changed), Source(path)
+    path = config.chosen(arguments.name, arguments.config)
+    return config.load(path, changed), Source(path or "")
 
 
 def _pair(arguments: Namespace) -> int:

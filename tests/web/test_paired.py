@@ -80,11 +80,13 @@ def test_where_pairing_is_off_the_settings_that_say_so_are_named(tmp_path: Path)
     assert f'pairing is switched off ({path}): set web.pairing = "on" in {path}, and restart the page' in said
 
 
-@pytest.mark.parametrize("cookie", ["", "__Host-failstop=", "__Host-failstop=guess", "failstop=guess"])
+@pytest.mark.parametrize(
+    "cookie", ["", "{its}=", "{its}=guess", "failstop-{name}=guess", "__Host-failstop=guess", "failstop=guess"]
+)
 def test_nobody_else_may(trial: Trial, web: Web, anna: dict[str, str], cookie: str) -> None:
-    assert anna
+    sent = cookie.format(its=anna["Cookie"].partition("=")[0], name=web.name)
     for verb in ("disable", "limit", "forget"):
-        assert web.post(f"/api/{verb}", headers={"Cookie": cookie})[0] == 401
+        assert web.post(f"/api/{verb}", headers={"Cookie": sent})[0] == 401
     assert not trial.robot.state.enabled
 
 
@@ -94,7 +96,7 @@ def test_the_hash_of_a_token_is_no_token(trial: Trial, web: Web, anna: dict[str,
     assert devices.digest_of(token) in {row["digest"] for row in kept}
     assert token not in json.dumps(kept)
     for row in kept:
-        assert web.post("/api/disable", headers={"Cookie": f"__Host-failstop={row['digest']}"})[0] == 401
+        assert web.post("/api/disable", headers={"Cookie": f"__Host-failstop-{web.name}={row['digest']}"})[0] == 401
 
 
 def test_what_is_kept_is_its_own(trial: Trial) -> None:
@@ -106,7 +108,7 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None
     status, headers, _ = web.ask("POST", "/api/pair", {"code": web.code(), "name": "Bert"})
     assert status == 200
     cookie = headers["set-cookie"]
-    for word in ("__Host-failstop=", "HttpOnly", "Secure", "SameSite=Strict", "Path=/"):
+    for word in (f"__Host-failstop-{web.name}=", "HttpOnly", "Secure", "SameSite=Strict", "Path=/"):
         assert word in cookie
     assert "Domain" not in cookie
 
