@@ -13,7 +13,7 @@ from failstop.fleet import exposition
 EXAMPLES = """\
 failstop metrics                         # print them once
 failstop metrics --serve 127.0.0.1:9464  # http://127.0.0.1:9464/metrics
-cd /var/lib/node_exporter && failstop metrics > .failstop && mv .failstop failstop.prom
+cd /var/lib/node_exporter && failstop metrics > .fs && mv .fs failstop.prom
 """
 
 
