@@ -151,16 +151,16 @@ class Live:
             self._key = key
             self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
         title = self._title(words.clock(unix_s, unix_s), columns)
-        body = [title, *wheels, [], *self._bars(state, columns), [], *self._slow]
+        body = [title, *wheels, [], *self._bars(state, mono_s, columns), [], *self._slow]
         return [*body, *_news(events, unix_s, rows - len(body))]
 
     def _title(self, clock: str, columns: int) -> Line:
         left, right = f"failstop status{words.of(self._name)}", f"{clock}   q quits"
         return [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
 
-    def _bars(self, state: State, columns: int) -> list[Line]:
+    def _bars(self, state: State, mono_s: float, columns: int) -> list[Line]:
         vx, vy, wz = state.body_vel
-        speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
+        speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.update(state.imu, mono_s)
         shakes = shake is not None and shake > STILL_RADPS
         unknown = "not known" if state.device.imu else "no IMU"
         text = unknown if shake is None else f"{shake:.4f} rad/s"
