@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Collection, Sequence
 
 from failstop.api import wheels, words
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event
 from failstop.api.snapshot import Process, State, Stop
 from failstop.api.wheels import CAN_MOVE as CAN_MOVE
@@ -56,6 +57,11 @@ UNLATCHED = LEFT_OFF | {"disabled"}
 HALTS = UNLATCHED | {"stop", "stop_again"}
 """Kinds of events about wheels that were stopped, whether a stop was latched or not."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
+
+
+def without_state(problem: FailstopError) -> str:
+    """Return NO_SERVICE or UNREADABLE. `problem`: the error that was raised instead of a state."""
+    return NO_SERVICE if isinstance(problem, NoService) else UNREADABLE
 
 
 def unreached(state: State) -> str:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import Any
 
+    from failstop.api.errors import FailstopError
     from failstop.api.state import State, Stop
 
     Message = dict[str, Any]
@@ -33,6 +34,7 @@ DOUBLED = "doubled_name"
 WARNING = "warning"
 FATAL = "fatal"
 NO_SERVICE_NEXT = "`failstop why` on the robot says more"
+UNREADABLE_NEXT = "restart the publisher on the robot, which may be of another version than the service"
 LATEST_S = 1e11
 """The latest Unix time that is accepted as a date. It is in the year 5138."""
 
@@ -81,13 +83,16 @@ def connection(state: str, period_s: float | None = None, heard: Sequence[str] =
     return {"connection": state, **period, **({"heard": list(heard)} if heard else {})}
 
 
-def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
-    """Return the body of a state message. Without a running service, `state` is None and `note` says why. `extra`:
-    errors of the publisher itself."""
-    if state is None:
-        error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
-        words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
-        return {**words, "errors": [error, *extra]}
+def without_state(problem: FailstopError, extra: tuple[Message, ...] = ()) -> Message:
+    """Return the body of a state message while the service's state can't be read. `problem`: why. `extra`: as for
+    body()."""
+    word, note = verdict.without_state(problem), str(problem)
+    kind, then = ("no_service", NO_SERVICE_NEXT) if word == verdict.NO_SERVICE else ("unreadable", UNREADABLE_NEXT)
+    return {"word": word, "why": note, "next": then, "errors": [_error(kind, FATAL, note, then), *extra]}
+
+
+def body(state: State, extra: tuple[Message, ...] = ()) -> Message:
+    """Return the body of a state message. `extra`: errors of the publisher itself."""
     found = {
         "word": verdict.word(state),
         "why": why(state),

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         run: str
         """Identifies the run of the service that the last read() has read. Empty if there was none."""
 
-        def read(self) -> tuple[State | None, str]: ...
+        def read(self) -> State | FailstopError: ...
         def events(self) -> list[Event]: ...
         def stop(self, reason: str, by: str) -> str: ...
 
@@ -75,6 +75,16 @@ SEEN = "fleet-stops.json"
 NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
+def _state(found: State | FailstopError) -> State | None:
+    return None if isinstance(found, FailstopError) else found
+
+
+def _body(found: State | FailstopError, extra: tuple[message.Message, ...]) -> message.Message:
+    if isinstance(found, FailstopError):
+        return message.without_state(found, extra)
+    return message.body(found, extra)
+
+
 class Service:
     """The robot's service on this computer. If the service is restarted, the next call finds its new run."""
 
@@ -88,19 +98,18 @@ class Service:
         """The run whose events have all been returned. It can still be found for a moment after its supervisor was
         killed."""
 
-    def read(self) -> tuple[State | None, str]:
-        """Return (the present state, ""), or (None, the reason why there is no state)."""
-        note = ""
+    def read(self) -> State | FailstopError:
+        """Return the present state, or the error for which it can't be read."""
         for _ in range(2):  # if the run that was read has ended, try the next run
             try:
                 if self._reader is None or self._reader.over():
                     self._reader = StateReader(self.name)
                 state, self.run = self._reader.read(), self._reader.found[0]
-                return state, ""
+                return state
             except FailstopError as error:
-                self._reader, note = None, str(error)
+                self._reader, problem = None, error
         self.run = ""
-        return None, note
+        return problem
 
     def events(self) -> list[Event]:
         """Return the events since the last call."""
@@ -197,7 +206,8 @@ class Publisher:
             self._connection()
             self._will()
         busy = self.busy(now_s)
-        state, note = self._robot.read()
+        found = self._robot.read()
+        state = _state(found)
         run = self._robot.run
         for order in self.duties.owed(now_s, run):
             if not self._ask(order, state, run, now_s, time.time()):
@@ -208,7 +218,7 @@ class Publisher:
         if busy and now_s - self._built_s < BUSY_STATE_S:
             return
         self._built_s = now_s
-        self._publish(state, note, now_s)
+        self._publish(found, now_s)
         if self.unsaved and not self.broker.wants_write():
             self.unsaved = False
             self._remember()
@@ -287,10 +297,10 @@ class Publisher:
         body = message.connection(self._word, self._publish_s, self.twins.heard())
         self.broker.say(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()), retain=True)
 
-    def _publish(self, state: State | None, note: str, now_s: float) -> None:
+    def _publish(self, found: State | FailstopError, now_s: float) -> None:
         if self.broker.problem:
             return
-        body = message.body(state, note, self.own_errors(now_s))
+        body = _body(found, self.own_errors(now_s))
         steady = message.steady(body)
         age_s = now_s - self._published_s
         new = steady != self._shown[0] or (body != self._shown[1] and age_s >= CHANGES_S)
@@ -329,7 +339,7 @@ class Publisher:
         now_s, unix_s = time.monotonic(), time.time()
         order, answer = self.duties.hear(payload, now_s, unix_s)
         if order:
-            state, _ = self._robot.read()
+            state = _state(self._robot.read())
             if not self.busy(now_s):
                 self._built_s = now_s
             if problem := self._ask(order, state, self._robot.run, now_s, unix_s):

@@ -30,7 +30,7 @@ ROLES = {
     verdict.STOPPED: WARN,
     **dict.fromkeys((verdict.TURNING, verdict.MOVED, verdict.MAY_TURN), FAIL),
     **dict.fromkeys((verdict.STOPPING, verdict.TOLD_TO_STOP), WARN),
-    verdict.NO_SERVICE: FAIL,
+    **dict.fromkeys((verdict.NO_SERVICE, verdict.UNREADABLE), FAIL),
     LOST: FAIL,
     ENDED: DIM,
 }
@@ -39,6 +39,7 @@ ORDER = (
     verdict.MAY_TURN,
     verdict.MOVED,
     LOST,
+    verdict.UNREADABLE,
     verdict.NO_SERVICE,
     verdict.STOPPING,
     verdict.STOPPED,

@@ -196,7 +196,7 @@ class Outward:
         self._moves = moves
 
     def _lost(self, error: FailstopError) -> None:
-        self._shared.problem = str(error)
+        self._shared.problem = error
         self._shared.state = None
         self._wheels.update(None, monotonic_ns())
 
@@ -240,7 +240,7 @@ class Outward:
             known = (
                 report.as_json(state, shared.publishers, shared.wrong)
                 if state
-                else report.without_service(shared.problem)
+                else report.without_state(shared.problem)
             )
             self._publish(contract.STATE, {"data": json.dumps(known)})
         if not self._begun:
@@ -255,7 +255,7 @@ class Outward:
         if names:
             self._send(contract.JOINT_STATES, values)
         if self._heard.get(STATUS.name):
-            status = report.status(state) if state else report.status_without_service(shared.problem)
+            status = report.status(state) if state else report.status_without_state(shared.problem)
             # A package failstop_msgs that was built from older source lacks the newest fields.
             fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
@@ -285,7 +285,7 @@ class Outward:
         self._diagnose_ns = now_ns
         shared = self._shared
         rows = diagnostics.statuses(
-            self._node.get_name(), state, shared.problem, shared.sees, shared.wrong, shared.lacks
+            self._node.get_name(), state, str(shared.problem), shared.sees, shared.wrong, shared.lacks
         )
         if slow or diagnostics.changed(self._told, rows):
             self._told = rows

@@ -8,6 +8,7 @@ from math import degrees, nan
 from typing import Any
 
 from failstop.api import steps, verdict
+from failstop.api.errors import FailstopError
 from failstop.api.state import State, Stop
 from failstop.messages import box
 from failstop.policy.proofs import NO_IMU, TO_A_STRANGER, wheels_seen
@@ -57,7 +58,6 @@ def arm(state: State) -> dict[str, Any]:
 
 
 UNKNOWN_WHEELS: dict[str, Any] = {
-    "word": verdict.NO_SERVICE,
     "does": "unknown",
     "by": None,
     "unexpected": False,
@@ -124,20 +124,22 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
     return {key: found[key] for key in STATE_KEYS}
 
 
-def without_service(problem: str) -> dict[str, Any]:
-    """The values of ~/state if no service is running. `problem`: why."""
+def without_state(problem: FailstopError) -> dict[str, Any]:
+    """The values of ~/state while the service's state can't be read. `problem`: why."""
+    word = verdict.without_state(problem)
+    step = steps.NO_SERVICE if word == verdict.NO_SERVICE else steps.UNREADABLE
     found = {
         "enabled": False,
         "estop": None,
         "plugged": None,
         **NO_ARM,
-        "blocked": problem,
+        "blocked": str(problem),
         "body_vel": [0.0, 0.0, 0.0],
         "scan_age": None,
         "gyro_bias_dps": [0.0, 0.0, 0.0],
         "gyro_bias_tracking": False,
         "pad_mode": "locked",
-        "next": [steps.NO_SERVICE.typed],
+        "next": [step.typed],
         "driver": None,
         "publishers": [],
         "wrong": None,
@@ -145,7 +147,7 @@ def without_service(problem: str) -> dict[str, Any]:
         "port": "closed",
         "processes": {},
         "last_stop": None,
-        "wheels": UNKNOWN_WHEELS,
+        "wheels": {"word": word, **UNKNOWN_WHEELS},
         "state_age_ms": None,
     }
     return {key: found[key] for key in STATE_KEYS}
@@ -174,12 +176,12 @@ def status(state: State) -> dict[str, Any]:
     }
 
 
-def status_without_service(problem: str) -> dict[str, Any]:
-    """The fields of a failstop_msgs/Status without its stamp if no service is running. `latched` is true, because a
-    stop may be latched, as in ~/emergency_stop. `problem`: why there is no service."""
+def status_without_state(problem: FailstopError) -> dict[str, Any]:
+    """The fields of a failstop_msgs/Status without its stamp while the service's state can't be read. `latched` is
+    true, because a stop may be latched, as in ~/emergency_stop. `problem`: why there is no state."""
     return {
         "enabled": False,
-        "blocked": problem,
+        "blocked": str(problem),
         "latched": latched(None),
         "estop": "",
         "driver": "",

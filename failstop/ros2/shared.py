@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from failstop.api.errors import FailstopError
 from failstop.api.state import State
 from failstop.messages.layout import SUPERVISOR
 from failstop.ros2.mirrors import RobotSettings
@@ -20,7 +21,7 @@ class Shared:
     that spins the node writes the other fields."""
 
     state: State | None = None
-    problem: str = "the bridge is starting"
+    problem: FailstopError = dataclasses.field(default_factory=lambda: FailstopError("the bridge is starting"))
     """Why there is no state."""
     settings: RobotSettings | None = None
     """The settings of the present run. None if they are not known yet."""

@@ -111,7 +111,9 @@ def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:
     for tick in range(30):
         moving = tick >= 15
         rate = [0.01 * (-1) ** tick if moving else 0.0001 * (-1) ** tick, 0.0, 0.0]
-        given = (driving if moving else state)(imu=Imu(tick * 100_000_000, (0.0, 0.0, 9.8), (*rate[:2], tick * 1e-6), 1e-6))
+        given = (driving if moving else state)(
+            imu=Imu(tick * 100_000_000, (0.0, 0.0, 9.8), (*rate[:2], tick * 1e-6), 1e-6)
+        )
         lines = found.lines(given, tick * 0.1, NOW_S, columns, rows)
     return found, lines
 

@@ -52,7 +52,7 @@ def screens(found: State) -> dict[str, str]:
         "watch": "\n".join(map(style.plain, live)),
         "why": str(explain(found, [], NOW_S)),
         "page": f"{shown['word']}. {shown['why']} {view.live(found, 0.001)[6]}",
-        "fleet": json.dumps(message.body(found, "")),
+        "fleet": json.dumps(message.body(found)),
         "metrics": "\n".join(f"{row.name} {value:g}" for row, told in metrics.collect(found) for _, value in told),
         "diagnostics": json.dumps(diagnostics.statuses("node", found, "", [], [])),
         "ros state": json.dumps(report.as_json(found, [], [])),
@@ -168,7 +168,7 @@ def test_a_reading_is_told_with_its_age_to_programs() -> None:
 
 def test_numbers_and_ages_are_no_news_to_a_fleet_or_to_diagnostics() -> None:
     early, late = (state(turning=dataclasses.replace(states.TURNS_ON, age_s=age_s)) for age_s in (0.01, 0.3))
-    assert message.steady(message.body(early, "")) == message.steady(message.body(late, ""))
+    assert message.steady(message.body(early)) == message.steady(message.body(late))
     rows = [diagnostics.statuses("node", found, "", [], []) for found in (early, late)]
     assert not diagnostics.changed(*rows)
 
@@ -176,4 +176,4 @@ def test_numbers_and_ages_are_no_news_to_a_fleet_or_to_diagnostics() -> None:
 def test_a_push_is_not_called_driving_by_programs_that_ask_whether_it_is_commanded() -> None:
     pushed = state(turning=states.TURNS_ON)
     assert not pushed.moving
-    assert message.body(pushed, "")["moves"], "the fleet asks whether the robot moves"
+    assert message.body(pushed)["moves"], "the fleet asks whether the robot moves"

@@ -73,7 +73,7 @@ def screens(simulated: Simulated) -> dict[str, str]:
         "why": simulated.command("why")[1],
         "page": f"{shown['word']}. {shown['why']}",
         "metrics": " ".join(f"{row.name} {value:g}" for row, found in told for _, value in found),
-        "fleet": fleet(message.body(state, "")),
+        "fleet": fleet(message.body(state)),
         "diagnostics": json.dumps(load("failstop.ros2.diagnostics").statuses("node", state, "", [], [])),
         "ros": json.dumps(load("failstop.ros2.report").as_json(state, [], [])),
     }

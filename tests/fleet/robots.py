@@ -48,7 +48,7 @@ class Pretended:
         )  # fmt: skip
         self._moving = self._state
 
-    def read(self) -> tuple[State | None, str]:
+    def read(self) -> State:
         """As a service publishes it."""
         stop, age_s = self._state.last_stop, time.monotonic() - self._asked_s
         if stop and stop.observed_s is None:
@@ -59,7 +59,7 @@ class Pretended:
             self._state = dataclasses.replace(self._state, last_stop=known)
         elif stop and age_s > 2 * OBSERVED_S:
             self._state = dataclasses.replace(self._moving, epoch=self._state.epoch)  # reset, and off again
-        return self._state, ""
+        return self._state
 
     def events(self) -> list[Event]:
         """None of them is told of."""

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event
 from failstop.api.state import State
 from failstop.fleet.broker import Broker
@@ -105,8 +106,8 @@ class Pretended:
         self.told: list[Event] = []
         self.problem = ""
 
-    def read(self) -> tuple[State | None, str]:
-        return self.state, "" if self.state else "no service named 'failstop' is running"
+    def read(self) -> State | FailstopError:
+        return self.state or NoService("no service named 'failstop' is running")
 
     def events(self) -> list[Event]:
         told, self.told = self.told, []

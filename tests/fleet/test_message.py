@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import OLD_S, Ages, Device, Starved
 from failstop.fleet import message, topics
 from failstop.fleet.roster import Roster
@@ -36,7 +37,7 @@ def test_a_date_that_is_none(given: object) -> None:
 
 
 def test_a_stop_that_is_latched_says_why_and_what_to_do() -> None:
-    found = message.body(states.latched(causes.DIED("gate")), "")
+    found = message.body(states.latched(causes.DIED("gate")))
     assert (found["word"], found["why"], found["latched"]) == ("STOPPED", "gate died", True)
     assert "`failstop reset`" in found["next"]
     (error,) = found["errors"]
@@ -46,19 +47,19 @@ def test_a_stop_that_is_latched_says_why_and_what_to_do() -> None:
 
 
 def test_driving() -> None:
-    found = message.body(states.driving(), "")
+    found = message.body(states.driving())
     assert (found["word"], found["why"]) == ("DRIVING", "0.20 m/s forward")
     assert (found["moves"], found["enabled"], found["latched"], found["errors"]) == (True, True, False, [])
     assert found["velocity"] == {"vx_mps": 0.2, "vy_mps": 0.0, "wz_radps": 0.0}
 
 
 def test_disabled() -> None:
-    found = message.body(states.state(), "")
+    found = message.body(states.state())
     assert (found["moves"], found["enabled"], found["latched"]) == (False, False, False)
 
 
 def test_a_stop_that_does_not_reach_the_wheels_is_fatal() -> None:
-    found = message.body(states.state(device=Device("/dev/x", "lost", "alive")), "")
+    found = message.body(states.state(device=Device("/dev/x", "lost", "alive")))
     assert [(row["kind"], row["level"]) for row in found["errors"]] == [("wheels_may_turn", "fatal")]
     assert found["word"] == "MAY TURN"
 
@@ -73,7 +74,7 @@ def test_a_stop_that_does_not_reach_the_wheels_is_fatal() -> None:
     ],
 )
 def test_warnings(changed: dict[str, Any], kind: str) -> None:
-    (error,) = message.body(states.state(**changed), "")["errors"]
+    (error,) = message.body(states.state(**changed))["errors"]
     assert (error["kind"], error["level"]) == (kind, "warning")
 
 
@@ -89,12 +90,12 @@ def test_warnings(changed: dict[str, Any], kind: str) -> None:
 def test_what_is_old_or_unknown_about_the_battery_is_not_published(
     volts: float | None, age_s: float | None, shown: dict[str, Any]
 ) -> None:
-    found = message.body(states.state(battery_v=volts, plugged="plugged", ages=Ages(battery_s=age_s)), "")
+    found = message.body(states.state(battery_v=volts, plugged="plugged", ages=Ages(battery_s=age_s)))
     assert found["battery"] == shown
 
 
 def test_no_service() -> None:
-    found = message.body(None, "no service named 'x' is running")
+    found = message.without_state(NoService("no service named 'x' is running"))
     assert [(row["kind"], row["level"]) for row in found["errors"]] == [("no_service", "fatal")]
     assert (found["word"], found["why"]) == ("NO SERVICE", "no service named 'x' is running")
     assert "moves" not in found, "nobody knows"
@@ -105,9 +106,18 @@ def test_no_service() -> None:
     assert "moves" not in message.steady(found)
 
 
+def test_a_service_that_cannot_be_read_may_be_running() -> None:
+    found = message.without_state(
+        FailstopError("it has memory layout 12, this program 13"), (message.warning("a", "b", "c"),)
+    )
+    assert [row["kind"] for row in found["errors"]] == ["unreadable", "a"]
+    assert (found["word"], found["why"]) == ("CAN'T READ", "it has memory layout 12, this program 13")
+    assert "version" in found["next"]
+
+
 def test_the_last_stop_has_its_proofs_and_those_that_are_not_known_are_left_out() -> None:
     stop = states.stop(observed_s=None)
-    found = message.body(states.latched(last_stop=stop), "")["last_stop"]
+    found = message.body(states.latched(last_stop=stop))["last_stop"]
     assert set(found) == {"cause", "reason", "t", "written_s", "acknowledged_s"}
 
 

@@ -34,7 +34,7 @@ def connect(roster: Roster, at_s: float, *, retained: bool = False, off_s: float
 
 
 def drive(roster: Roster, at_s: float, *, retained: bool = False, off_s: float = 0.0) -> None:
-    hear(roster, topics.STATE, message.body(states.driving(), ""), at_s, retained=retained, off_s=off_s)
+    hear(roster, topics.STATE, message.body(states.driving()), at_s, retained=retained, off_s=off_s)
 
 
 def word(roster: Roster, at_s: float) -> str:
@@ -101,7 +101,7 @@ def test_states_without_a_connection_show_that_the_list_is_blind() -> None:
 
 @pytest.mark.parametrize("volts", ["NaN", "Infinity", "-Infinity", "1e308", "1" + 400 * "0", "true", '"12"', "[]"])
 def test_a_voltage_that_is_none_is_not_shown(volts: str) -> None:
-    body = json.dumps(message.body(states.driving(), "")).replace("12.0", volts)
+    body = json.dumps(message.body(states.driving())).replace("12.0", volts)
     assert volts in body
     roster = Roster()
     roster.hear(topics.of_robot("m", "r1", topics.STATE), body[:-1].encode() + b', "t": 0}', 0.0, retained=False)
@@ -115,7 +115,7 @@ def test_a_voltage_that_is_none_is_not_shown(volts: str) -> None:
 def test_a_robot_publishes_no_number_that_is_none(value: float) -> None:
     """JSON has no such number: another program would refuse the whole state."""
     state = states.driving(battery_v=value, body_vel=(value, 0.0, 0.1))
-    body = message.body(state, "")
+    body = message.body(state)
     json.dumps(body, allow_nan=False)
     assert "volts" not in body["battery"]
     assert body["velocity"] == {"vy_mps": 0.0, "wz_radps": 0.1}
@@ -126,7 +126,7 @@ def test_no_cell_pushes_the_others_off_the_screen(letter: str) -> None:
     long = 50_000 * letter
     roster = Roster()
     errors = [message.warning(kind, long, "") for kind in (message.FLEET_STOP_OFF, message.DOUBLED)]
-    body = {**message.body(states.driving(), ""), "word": long, "why": long, "next": long, "errors": errors, "t": 0}
+    body = {**message.body(states.driving()), "word": long, "why": long, "next": long, "errors": errors, "t": 0}
     roster.hear(f"failstop/v1/m/robot/{long}/state", json.dumps(body).encode()[:60_000], 0.0, retained=False)
     short = {**body, **dict.fromkeys(("word", "why", "next"), 500 * letter), "errors": []}
     for last, found in (("connection", message.connection("online")), ("state", short)):
@@ -152,7 +152,7 @@ def test_a_robot_whose_name_two_use_is_seen_at_a_glance() -> None:
     roster = Roster()
     connect(roster, 0.0)
     warning = message.warning(message.DOUBLED, "another publisher also calls itself r1", "")
-    hear(roster, topics.STATE, message.body(states.driving(), "", (warning,)), 0.0)
+    hear(roster, topics.STATE, message.body(states.driving(), (warning,)), 0.0)
     robots = roster.sorted()
     assert "1 NAME USED TWICE" in style.plain(view.counts(robots, 0.0, NOW_S))
     assert view.why(robots[0], 0.0, NOW_S).startswith("TWO ROBOTS OF THIS NAME: another publisher also calls itself r1")

@@ -23,7 +23,7 @@ def told(name: str, extra: tuple[dict[str, Any], ...] = ()) -> Roster:
     roster = Roster()
     for last, body in (
         (topics.CONNECTION, message.connection(message.ONLINE)),
-        (topics.STATE, message.body(states.driving(), "", extra)),
+        (topics.STATE, message.body(states.driving(), extra)),
     ):
         payload = message.Header("m", name).message(last, body, states.NOW_S)
         roster.hear(topics.of_robot("m", name, last), payload, 0.0, retained=False)

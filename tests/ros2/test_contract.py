@@ -72,7 +72,7 @@ def test_state_has_every_key_in_its_order() -> None:
     keys = list(contract.STATE_KEYS)
     assert keys[: len(STATE_KEYS)] == STATE_KEYS
     assert list(report.as_json(states.state(), [], [])) == keys
-    assert list(report.without_service("no service")) == keys
+    assert list(report.without_state(NoService("no service"))) == keys
 
 
 def test_words_of_the_driver_before() -> None:

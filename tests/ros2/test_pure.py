@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from failstop.api import snapshot
-from failstop.api.errors import FailstopError
+from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import OLD_S, Ages, Device, GyroBias, Imu, Odometry, Pad, Scale
 from failstop.api.state import Stop
 from failstop.policy import causes
@@ -232,7 +232,8 @@ def test_typed_status() -> None:
 
 def test_typed_status_without_a_service() -> None:
     """It says what ~/state and ~/emergency_stop say then, with the same fields as ever."""
-    found, known = report.status_without_service("no service"), report.without_service("no service")
+    none = NoService("no service")
+    found, known = report.status_without_state(none), report.without_state(none)
     assert list(found) == list(report.status(states.state()))
     assert {key: found[key] for key in ("enabled", "blocked", "link")} == {
         key: known[key] for key in ("enabled", "blocked", "link")

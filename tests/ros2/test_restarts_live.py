@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from failstop.ros2.report import without_service
+from failstop.api.errors import NoService
+from failstop.ros2.report import without_state
 from failstop_lab.trial import wait_for
 from tests.ros2.scene import BOOL, NODE, BridgeTrial
 
@@ -37,7 +38,11 @@ def test_status_says_that_no_service_runs(scene: BridgeTrial) -> None:
     scene.trial.service.kill()
     try:
         found = scene.eyes.next(topic, lambda message: scene.trial.name in message["blocked"])
-        assert (found["enabled"], found["latched"], found["link"]) == (False, True, without_service("")["link"])
+        assert (found["enabled"], found["latched"], found["link"]) == (
+            False,
+            True,
+            without_state(NoService(""))["link"],
+        )
         assert math.isnan(found["state_age_s"])
     finally:
         scene.trial.service.start()

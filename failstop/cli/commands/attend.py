@@ -14,7 +14,7 @@ from contextlib import suppress
 import psutil
 
 from failstop.api import verdict
-from failstop.api.errors import FailstopError, NoService
+from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot, operator
 from failstop.cli import style
 from failstop.cli.commands import add_name
@@ -168,8 +168,7 @@ def _lines(robot: Robot, who: str, answered: str, columns: int) -> list[Line]:
     try:
         state = robot.state
     except FailstopError as error:
-        word = verdict.NO_SERVICE if isinstance(error, NoService) else verdict.UNREADABLE
-        failed = style.wrap([(f"{word}  ", FAIL), (str(error), STRONG)], columns, 0)
+        failed = style.wrap([(f"{verdict.without_state(error)}  ", FAIL), (str(error), STRONG)], columns, 0)
         return [[(f"{who} does not attend", FAIL), keys], [], *failed]
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
