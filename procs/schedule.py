@@ -24,6 +24,10 @@ PING_GAP_NS = 50_000_000
 QUICK = 10
 """How many pings quickly follow the first one after a port was opened. Nobody knows whether the board hears until
 telemetry has read an answer, and telemetry takes some tenths of a second to start."""
+QUICK_AGAIN = 40
+"""How many pings quickly follow the first one after a lost port was opened again. The board may hear only a second later.
+Its first answers then count as answers to pings that were lost with the old port, one or two of them with each answer,
+and prove nothing about the new port."""
 AGAIN_AFTER_STOP = 4
 """How many more pings follow the first ping after a stop. One answer may not be enough. If telemetry has died, answers
 to pings from before the stop may be lost, so the first answer after the stop may belong to one of these older pings.
@@ -81,7 +85,7 @@ class Pings:
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
-        self._quick = self._quick_first = quick
+        self._quick = quick
         self._due = due
         self._due.set(now_ns)
         self._mixed = now_ns | 1
@@ -115,10 +119,9 @@ class Pings:
         return (index + 1) % self._count if index == self.index == self._before else index
 
     def opened(self, hears_ns: int) -> None:
-        """Begin again with quick pings, because another port was opened. One ping is not enough, because its answer may
-        be taken for an answer to a ping to the previous port. `hears_ns`: when the board at the new port begins to
+        """Send quick pings, because a lost port was opened again. `hears_ns`: when the board at the new port begins to
         receive bytes."""
-        self._quick = self._quick_first
+        self._quick = max(self._quick, QUICK_AGAIN)
         self.wait(hears_ns)
 
     def wait(self, until_ns: int) -> None:

@@ -11,7 +11,7 @@ from failstop.board.handled import Answers
 from failstop.board.rrc.board import BOARD
 from failstop.messages import records
 from failstop.procs.loop import NEVER, Timer
-from failstop.procs.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
+from failstop.procs.schedule import PING_GAP_NS, QUICK, QUICK_AGAIN, REFRESH, REPEAT, Pings, Repeats
 from failstop.procs.suspend import SLEPT_NS, SuspendWatch
 from failstop.supervisor.main import HEAR_NS
 from tests.support.port_scene import MOTION, TICK, Scene
@@ -132,7 +132,7 @@ def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> 
     assert found == [0, PING_GAP_NS, 2 * PING_GAP_NS, 2 * PING_GAP_NS + PERIOD, 2 * PING_GAP_NS + 2 * PERIOD]
 
 
-def test_another_port_is_asked_as_often_as_the_first_one() -> None:
+def test_another_port_is_asked_from_when_its_board_hears() -> None:
     due = Timer()
     pings = Pings(4, PERIOD, due, T0, quick=2)
     for _ in range(4):
@@ -140,10 +140,36 @@ def test_another_port_is_asked_as_often_as_the_first_one() -> None:
     hears_ns = due.ns + 3 * PERIOD
     pings.opened(hears_ns)
     found = []
-    for _ in range(4):
+    for _ in range(QUICK_AGAIN + 2):
         found.append(due.ns - hears_ns)
         pings.sent(due.ns)
-    assert found == [0, PING_GAP_NS, 2 * PING_GAP_NS, 2 * PING_GAP_NS + PERIOD]
+    assert found == [*range(0, (QUICK_AGAIN + 1) * PING_GAP_NS, PING_GAP_NS), QUICK_AGAIN * PING_GAP_NS + PERIOD]
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_board_that_hears_late_behind_a_new_port_is_soon_known_to_hear(count: int) -> None:
+    """The pings of a second were lost with the old port, and those of a second behind the new one."""
+    for seed in range(100):
+        due, answers = Timer(), Answers()
+        pings = Pings(count, PERIOD, due, T0 + 7_919 * seed)
+
+        def ask(pings: Pings = pings, due: Timer = due, answers: Answers = answers) -> tuple[int, int]:
+            asked = pings.index, due.ns
+            answers.asked(*asked)
+            pings.sent(due.ns)
+            return asked
+
+        while due.ns < T0 + 1_000 * MS:
+            ask()
+        opened_ns = due.ns
+        pings.opened(opened_ns)
+        while due.ns < opened_ns + 1_000 * MS:
+            ask()
+        proved_ns, hears_ns = 0, due.ns
+        while proved_ns < opened_ns:
+            index, asked_ns = ask()
+            proved_ns = answers.answered((index,), asked_ns + MS)
+        assert due.ns - hears_ns < 1_000 * MS, seed
 
 
 def test_a_port_that_is_gone_is_asked_nothing() -> None:
