@@ -25,9 +25,9 @@ QUICK = 10
 """How many pings quickly follow the first one after a port was opened. Nobody knows whether the board hears until
 telemetry has read an answer, and telemetry takes some tenths of a second to start."""
 QUICK_AGAIN = 40
-"""How many pings quickly follow the first one after a lost port was opened again. The board may hear only a second later.
-Its first answers then count as answers to pings that were lost with the old port, one or two of them with each answer,
-and prove nothing about the new port."""
+"""How many pings quickly follow the first one after a lost port was opened again. The board may hear only a second
+later. Its first answers then count as answers to pings that were lost with the old port, one or two of them with each
+answer, and prove nothing about the new port."""
 AGAIN_AFTER_STOP = 4
 """How many more pings follow the first ping after a stop. One answer may not be enough. If telemetry has died, answers
 to pings from before the stop may be lost, so the first answer after the stop may belong to one of these older pings.
