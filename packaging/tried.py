@@ -1,6 +1,7 @@
 """`make tried ROWS="versions lerobot"`: try these, and keep what came of it for docs/reference/tried.md.
 
-A run that fails is kept too, as a failure. Without ROWS it lists what there is.
+A run that fails is kept too, as a failure. Without ROWS it lists what there is, and which rows are out of date: since
+their last run, the code that they try has changed.
 """
 
 from __future__ import annotations
@@ -48,6 +49,18 @@ VERSION = re.compile(r"^(python 3\.\d+|Debian \S+, .*install): (good|FAILED)", r
 """A line of `make versions` for each Python that it tried, and one of `make fresh` for each Debian."""
 
 
+PRODUCT = ("failstop", "procs", "shm", "supervisor")
+SIMULATED = ("lab/failstop_lab/machine", "lab/failstop_lab/sim", "lab/failstop_lab/simulate")
+NOT_SIMULATED = ("cli", "doctor", "fleet", "ros2", "setup", "web")
+"""Packages of failstop that the simulated machine doesn't run."""
+ON_THE_MACHINE = (
+    "failstop",
+    *(f":(exclude)failstop/{name}" for name in NOT_SIMULATED),
+    *PRODUCT[1:],
+    *SIMULATED,
+)
+
+
 class Row(NamedTuple):
     """Something to try."""
 
@@ -56,6 +69,8 @@ class Row(NamedTuple):
     """Words for make."""
     probe: str
     """A shell command that prints the version of what it is tried with."""
+    tries: tuple[str, ...] = PRODUCT
+    """The paths of the code that it tries, as pathspecs of git."""
 
 
 ASK = "import sys; print('Python', *sys.version.split()[:1])"
@@ -74,9 +89,19 @@ echo "ROS 2 $ROS_DISTRO, ros2_control $(grep -o "[0-9.]*</version>" package.xml 
 ROWS = {
     "versions": Row("quick tests", ("versions", "ALL=yes"), ""),
     "test": Row("all tests", ("test",), f'"$BIN"/python -c "{ASK}"'),
-    "lerobot": Row("robot for LeRobot", ("lerobot",), f'"$LEROBOT" -c "{ASK_LEROBOT}"'),
+    "lerobot": Row(
+        "robot for LeRobot",
+        ("lerobot",),
+        f'"$LEROBOT" -c "{ASK_LEROBOT}"',
+        ("integrations/lerobot", "failstop/api", "failstop/board/feetech", *PRODUCT[1:]),
+    ),
     "ros2": Row("bridge to ROS 2", ("ros2",), ASK_ROS),
-    "ros2-control": Row("controller manager of ros2_control, killed and hung", ("ros2-control",), ASK_ROS2_CONTROL),
+    "ros2-control": Row(
+        "controller manager of ros2_control, killed and hung",
+        ("ros2-control",),
+        ASK_ROS2_CONTROL,
+        ("integrations/ros2_control", "clients/c", *PRODUCT[1:]),
+    ),
     "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
     "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
     "package-test": Row("life of the Debian packages", ("package-test",), "echo Debian 12 and 13"),
@@ -84,13 +109,13 @@ ROWS = {
     "folder": Row("installed, demo, own program, prove", ("fresh", "ON=12-folder 13-folder testing-folder"), ""),
     "c": Row("C program driving, killed", ("fresh", "ON=c"), ""),
     "arm64": Row("installed, own program", ("fresh", "ON=arm64 arm64-pip"), ""),
-    "reproduce": Row("a release built twice", ("reproduce",), f'"$BIN"/python -c "{ASK}"'),
+    "reproduce": Row("a release built twice", ("reproduce",), f'"$BIN"/python -c "{ASK}"', (*PRODUCT, "packaging")),
     "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
     "bench": Row("the bench", ("bench",), f'"$BIN"/python -c "{ASK}"'),
     "chaos": Row("campaign of random faults", ("chaos",), "echo rrc"),
     **{
-        f"{kind}-{name}": Row(what, (*command, f"BOARD={kind}"), f"echo {kind}")
+        f"{kind}-{name}": Row(what, (*command, f"BOARD={kind}"), f"echo {kind}", ON_THE_MACHINE)
         for kind in ALL_KINDS
         for name, what, command in (
             ("faults", "single faults of a process at its own calls", ("faults",)),
@@ -98,10 +123,17 @@ ROWS = {
             ("seeds", "random orders and faults", ("seeds", "SECONDS=600")),
         )
     },
-    "controls": Row("parts taken out, which a campaign must miss", ("controls",), f'"$BIN"/python -c "{ASK}"'),
-    "model": Row("the stop protocol in a model checker", ("model",), "spin -V"),
+    "controls": Row(
+        "parts taken out, which a campaign must miss", ("controls",), f'"$BIN"/python -c "{ASK}"', ON_THE_MACHINE
+    ),
+    "model": Row("the stop protocol in a model checker", ("model",), "spin -V", ("model",)),
     "fuzz": Row("parsers, fuzzed", ("fuzz",), f'"$BIN"/python -c "{ASK}"'),
-    "feetech": Row("frames of two foreign hosts of Feetech servos", ("feetech",), f'"$BIN"/python -c "{ASK}"'),
+    "feetech": Row(
+        "frames of two foreign hosts of Feetech servos",
+        ("feetech",),
+        f'"$BIN"/python -c "{ASK}"',
+        ("failstop/board/feetech", "failstop/board/servos.py"),
+    ),
 }
 """For campaigns of a board, `with` is the board."""
 
@@ -155,6 +187,21 @@ def tree() -> str:
     return commit[:8] + ("+" if changed else "")
 
 
+def since(name: str) -> str:
+    """When a row was last tried, and how much of what it tries has changed since, in words."""
+    found = [record for record in tried.records() if record["row"] == f"make tried ROWS={name}"]
+    if not found:
+        return "never tried"
+    oldest = min(found, key=lambda record: record["day"])
+    commit = oldest["commit"].rstrip("+")
+    if not said("git", "cat-file", "-t", commit):
+        return f"tried on {oldest['day']}; this checkout lacks its commit {commit}"
+    changed = said("git", "diff", "--name-only", commit, "--", *ROWS[name].tries).splitlines()
+    lately = f"out of date: {len(changed)} file{'s' * (len(changed) > 1)} changed" if changed else "nothing changed"
+    failed = ", FAILED" if any("FAILED" in record["result"] for record in found) else ""
+    return f"tried on {oldest['day']} at {commit}{failed}; since then {lately}"
+
+
 def attempt(name: str) -> list[tried.Attempt]:
     """Try a row, showing what it prints; its records."""
     row = ROWS[name]
@@ -185,7 +232,7 @@ def main(names: list[str]) -> int:
         print(f"no row {unknown[0]!r}: there are {', '.join(ROWS)}", file=sys.stderr)
         return 2
     if not names:
-        print("which rows?", *(f"  {name}: {row.what}" for name, row in ROWS.items()), sep="\n")
+        print("which rows?", *(f"  {name}: {row.what} ({since(name)})" for name, row in ROWS.items()), sep="\n")
         return 0
     failed = False
     for name in names:

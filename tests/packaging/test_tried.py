@@ -158,6 +158,39 @@ def test_a_record_names_a_commit_of_main_and_whether_anything_differed(
     assert tried.tree() == git("rev-parse", "HEAD")[:8]
 
 
+@pytest.mark.starts
+def test_a_row_is_out_of_date_once_what_it_tries_has_changed(
+    tried: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def git(*words: str) -> str:
+        own = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        return subprocess.run(["git", *own, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    records = [record("the model", "Spin", "passed")]
+    monkeypatch.setattr(tried, "ROOT", tmp_path)
+    monkeypatch.setitem(tried.ROWS, "x", tried.Row("the model", ("model",), "", ("model", ":(exclude)model/notes")))
+    monkeypatch.setattr(page, "records", lambda: records)
+    for name in ("model/a.pml", "model/notes/n.md", "other.py"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text("")
+    git("init", "--quiet", "--initial-branch=main")
+    git("add", ".")
+    git("commit", "--quiet", "-m", "all")
+    commit = git("rev-parse", "HEAD")[:8]
+    assert tried.since("x") == "never tried", "another row has the record"
+    records[0] |= {"row": "make tried ROWS=x"}
+    assert tried.since("x") == "tried on 2026-11-28; this checkout lacks its commit abc"
+    records[0] |= {"commit": f"{commit}+"}
+    assert tried.since("x") == f"tried on 2026-11-28 at {commit}; since then nothing changed"
+    for name in ("model/notes/n.md", "other.py"):
+        (tmp_path / name).write_text("changed")
+    assert tried.since("x").endswith("since then nothing changed")
+    (tmp_path / "model/a.pml").write_text("changed")
+    records[0] |= {"result": "FAILED"}
+    assert tried.since("x") == f"tried on 2026-11-28 at {commit}, FAILED; since then out of date: 1 file changed"
+
+
 def test_every_row_is_a_target_of_make(tried: Any) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for row in tried.ROWS.values():
