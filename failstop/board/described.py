@@ -43,6 +43,10 @@ MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
 """The largest load of a servo that counts as possible. A load of 1.0 is the most that the servo can give, and Feetech's
 servos report up to 1.023. The limit is 1.27 because a load is stored as percent in one signed byte."""
+SLOWEST_MPS = 0.04
+"""A wheel that turns at this speed, in m/s at its rim, must still be seen to turn by its positions."""
+MOST_APART_NS = 400_000_000
+"""Reports this far apart, in ns, are compared, however much one count of their positions is."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 
@@ -115,7 +119,9 @@ def _reports(wire: Wire, per_rps: float, diameter_m: float) -> WheelReports:
         return WheelReports(UNKNOWN_EVERY_NS, per_rps, 0.0, 0.0, holds_speed=False, own_scale=False)
     speed = told.speed_per_rps(per_rps, diameter_m) if told.speed_per_rps else 0.0
     position = told.position_per_turn(per_rps, diameter_m) if told.position_per_turn else 0.0
-    scale = (told.holds_speed, told.own_scale, told.position_step)
+    step_m = told.position_step / position * pi * diameter_m if position else 0.0
+    apart_ns = min(MOST_APART_NS, round(step_m / SLOWEST_MPS * 1e9))
+    scale = (told.holds_speed, told.own_scale, told.position_step, apart_ns)
     return WheelReports(told.every_ns, speed, position, told.wraps, *scale)
 
 

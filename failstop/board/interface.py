@@ -71,6 +71,14 @@ class WheelReports(Data):
     position_step: float = 0.0
     """Positions are rounded towards zero to a multiple of this number. 0 means that the steps are too small to
     matter."""
+    apart_ns: int = 0
+    """Two reports that are closer together than this, in ns, may have the same positions although a wheel turns."""
+
+    @property
+    def judged_ns(self) -> int:
+        """The longest time between two reports that tell the speeds, in ns: positions that are too close together are
+        not compared."""
+        return self.every_ns + (0 if self.speed_per_rps else self.apart_ns)
 
 
 UNKNOWN_EVERY_NS = 1_000_000_000

@@ -135,7 +135,7 @@ class Halt:
 def _still(tap: Tap, board: Board) -> bool | None:
     """Wait until the board reports wheels at rest. Returns True once it has reported this for REST_S, False if the
     wheels did not come to rest in time, and None if the board reports nothing about its wheels. Raises OSError."""
-    read_back = ReadBack()
+    read_back = ReadBack(board.reports.apart_ns)
     begun_s = now_s = time.monotonic()
     ask_s = 0.0
     while now_s - begun_s < (RESTS_S if read_back.judged_ns else REPORTS_S):

@@ -74,6 +74,12 @@ class Robot:
     braking_rps2: float
 
     @property
+    def apart_ms(self) -> float:
+        """How far apart reports of positions must be to be compared: a wheel at 0.04 m/s has then moved by a count, or
+        0.4 s are over."""
+        return min(400.0, 1000 * self.rim_m / self.counts / 0.04) if self.counts else 0.0
+
+    @property
     def slack_rps(self) -> float:
         """What its wheel may differ by when it is told zero, without the count of its encoder."""
         return SHARES[self.kind][1] / self.rim_m + self.step_rps
@@ -85,20 +91,21 @@ class Robot:
 
 def draw_robot(chance: random.Random, kind: str) -> Robot:
     """Any robot with such a board."""
-    counts = float(chance.choice((*COUNTS, chance.randrange(12, 3437)))) if kind == "arduino" else 0.0
+    encoder = float(chance.choice((*COUNTS, chance.randrange(12, 3437)))) if kind == "arduino" else 0.0
     diameter_m = chance.uniform(0.06, 0.25)
+    counts = 100 * pi * diameter_m if kind == "ugv" else encoder  # a UGV reports whole centimetres
     values: dict[str, object] = {
         "board.kind": kind,
         "wheels.diameter_m": diameter_m,
         "limits.vx_mps": chance.uniform(0.1, 1.5),
         "limits.acceleration_mps2": chance.choice((0.2, 0.5, 1.0, 3.0)),
         "limits.braking_mps2": chance.choice((0.3, 1.0, 1.0, 2.0)),
-        **({"board.per_rps": counts / 30} if counts else {}),
+        **({"board.per_rps": encoder / 30} if encoder else {}),
     }
     settings, rim_m = Settings(values), pi * diameter_m
     step = {**STEPS_RPS, "ugv": 0.001 / rim_m}
-    if counts:
-        step["arduino"] = 30 / counts
+    if encoder:
+        step["arduino"] = 30 / encoder
     return Robot(
         kind=kind,
         settings=settings,
@@ -241,7 +248,7 @@ class ReportStream:
     def __post_init__(self) -> None:
         shortest, longest = REPORTS_MS[self.robot.kind]
         self.every_ns = self.chance.randrange(shortest, longest + 1) * MS
-        self._uneven = bool(self.robot.counts) and self.chance.random() < 0.5
+        self._uneven = self.robot.kind == "arduino" and self.chance.random() < 0.5
         self._loss = 0.0 if self.calm else self.chance.choice((0.0, 0.01, 0.1, 0.3))
         self._late_ns = self.chance.choice((1, 5, 20)) * MS
         self._noise = self.chance.choice((0.0, 0.01, 0.02))
@@ -264,10 +271,12 @@ class ReportStream:
 
     def _said(self, wheel_rps: float, turned: float) -> float:
         robot = self.robot
+        if robot.kind == "ugv":
+            return float(int(turned * robot.counts)) / robot.counts  # towards zero
         if robot.counts:
             return float(int(turned * robot.counts // 1)) / robot.counts
         noisy = wheel_rps * (1 + self._noise * self.chance.gauss(0.0, 1.0))
-        unit = {**STEPS_RPS, "ugv": 0.001 / robot.rim_m}[robot.kind]
+        unit = STEPS_RPS[robot.kind]
         return round(noisy / unit) * unit
 
     def arrived(self, now_ns: int) -> Iterator[tuple[int, float]]:
@@ -362,7 +371,7 @@ def failing(seed: str, kind: str, fault: str) -> Outcome:
     driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), ReportStream(chance, robot, calm=True)
     telemetry, now_ns = Follower(chance, robot), 10**12
     share, _ = SHARES[kind]
-    count_rps = robot.count_rps(60 * MS)
+    count_rps = robot.count_rps(max(60.0, robot.apart_ms) * MS)
     beyond = robot.slack_rps + count_rps
     driver.enabled, driver.held = True, True
     goal = robot.limit_rps * chance.uniform(0.3, 1.0)
@@ -381,7 +390,7 @@ def failing(seed: str, kind: str, fault: str) -> Outcome:
     else:
         speed, driver.told = max(wheel.speed, beyond * 1.25), 0.0
     rolls_s = before / robot.braking_rps2
-    bar_ns = round((0.3 + 0.2 + rolls_s) * 1e9) + 3 * REPORTS_MS[kind][1] * MS + SLACK_NS
+    bar_ns = round((0.3 + 0.2 + rolls_s) * 1e9) + round(3 * (REPORTS_MS[kind][1] + robot.apart_ms) * MS) + SLACK_NS
     name = f"{kind}: {fault}"
     while now_ns - fault_ns < bar_ns + NEVER_NS:
         now_ns += TICK_NS

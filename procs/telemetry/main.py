@@ -149,7 +149,7 @@ class Telemetry:
         self._low_battery = LowBattery(settings)
         self._charger = Charger(settings)
         self._log = BatteryLog(settings)
-        self._read_back = ReadBack()
+        self._read_back = ReadBack(self._board.reports.apart_ns)
         self._measured = Measured(self._board.reports, self._board.most_rps)
         self._fact = WheelFact(settings.ns("still.after_s"))
         self._way = Way(self._board.reports)

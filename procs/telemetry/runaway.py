@@ -69,7 +69,7 @@ class Limits(Data):
     """The thresholds for one robot."""
 
     every_ns: int
-    """The longest time between two reports."""
+    """The longest time between two reports that are judged."""
     share: float
     rps: float
     """The allowed difference that does not depend on the command, in turns per second. It is the sum of
@@ -81,6 +81,8 @@ class Limits(Data):
     """How fast a wheel slows down at least, in turns per second squared."""
     told_rps: float
     """A wheel may stand still if its commanded speed is below this, in turns per second."""
+    apart_ns: int = 0
+    """Reports of positions that are closer together than this, in ns, are not judged."""
 
     def rolls_ns(self, told_rps: float) -> int:
         """Return how long, in ns, a wheel may turn too fast before it can count as run away. This is BEYOND_NS plus the
@@ -94,13 +96,16 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
     if not 0 < reports.every_ns < SELDOM_NS or not (reports.speed_per_rps or reports.position_per_turn):
         return None
     margins = HOLDS_SPEED if reports.holds_speed else SETS_VOLTAGE
+    counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
+    apart_ns = reports.apart_ns if counts else 0
     return Limits(
-        every_ns=reports.every_ns,
+        every_ns=reports.judged_ns,
         share=margins.share,
         rps=margins.rim_mps / rim_m + board.step_rps,
-        counts=0.0 if reports.speed_per_rps else reports.position_per_turn,
+        counts=counts,
         braking_rps2=settings["limits.braking_mps2"] / rim_m,
         told_rps=STANDS_MPS / rim_m + 2 * board.step_rps,
+        apart_ns=max(reports.every_ns // 4, apart_ns),
     )
 
 
@@ -232,8 +237,9 @@ class RunawayJudge:
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
             elapsed_ns, before = t_ns - self._read_ns, self._turns
-            if len(before) == len(turns) and elapsed_ns < limits.every_ns // 4:
-                return None  # reports that were held up come together, so nobody knows when each was made
+            # Reports that were held up come together, so nobody knows when each was made.
+            if len(before) == len(turns) and elapsed_ns < limits.apart_ns:
+                return None
             begun_ns, self._read_ns, self._turns = self._read_ns, t_ns, turns
             if len(before) != len(turns):
                 return None

@@ -34,7 +34,8 @@ LONGEST_SILENCE_NS = 500_000_000
 """If a board that does not count turns was silent for longer than this, in ns, nobody knows how its wheels turned
 meanwhile."""
 SAME_READ_NS = 5_000_000
-"""Reports that are closer together than this came in one read, so the time between them says nothing about speed."""
+"""Reports that are closer together than this came in one read, so the time between them says nothing about speed. If
+one count of a position is much, the time is longer (WheelReports.apart_ns)."""
 _AT_ONCE_NS = 250_000_000
 """If a counter has started again at zero, its first report may come up to this much later, in ns."""
 
@@ -61,6 +62,7 @@ class Measured:
         reports may be lost."""
         self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
         """How many turns one count is. 0 if that is too small to matter, or if the board does not count."""
+        self._apart_ns = max(SAME_READ_NS, reports.apart_ns)
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
         """The time when the newest believed report came, or 0 if there is none."""
@@ -94,9 +96,9 @@ class Measured:
         if counts:
             if not self._count(counts, t_ns):
                 return False
-            if not rps and t_ns - self._moved_ns >= SAME_READ_NS:
+            if not rps and t_ns - self._moved_ns >= self._apart_ns:
                 rps = tuple(turns * 1e9 / (t_ns - self._moved_ns) for turns in self._moved)
-            if t_ns - self._moved_ns >= SAME_READ_NS:
+            if t_ns - self._moved_ns >= self._apart_ns:
                 self._moved, self._moved_ns = (0.0,) * len(counts), t_ns
         elif rps and not self.counts:
             self._add_up(rps, t_ns)

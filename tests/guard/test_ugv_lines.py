@@ -143,10 +143,18 @@ PASSED = (
     b'{"T":133,"X":1,"Y":1,"SPD":0,"ACC":0}\n',
     b'{"T":134,"X":1.5,"Y":-1,"SX":300,"SY":300}\n',
     b'{"T":137,"s":1,"y":0}\n',
-    b'{"T":141,"X":1,"Y":1,"SPD":0}\n',
     b'{"T":-3}\n',
     b'{"T":3,"lineNum":2,"Text":"V:12.1"}\n',
 )
+
+
+def test_a_command_for_which_the_board_waits_for_the_gimbal_is_refused() -> None:
+    """It would hear no stop meanwhile."""
+    lines = b'{"T":135}\n{"T":"141","X":0,"Y":0,"SPD":300}\n{"T":1.41e2,"X":0,"Y":0,"SPD":300}\n'
+    assert refusals(lines) == ["stopping the gimbal (T:135)", "the gimbal (T:141)", "the gimbal (T:141)"]
+    assert not any(isinstance(row, DriverFrame) for row in made().wrote(lines, 0))
+    assert BOARD.check_aux(b'{"T":1.35e2}\n')
+    assert BOARD.check_aux(b'{"T":1.41e2,"X":0,"Y":0,"SPD":300}\n')
 
 
 @pytest.mark.claim("GUARD-1")

@@ -9,8 +9,9 @@ is used for motion. The vendor's ROS 2 driver sends T:13 instead, which does not
 
 A line has no checksum, so speeds are written in a form that no lost byte can make larger. For example, 0.171 m/s is
 `17100e-5`. If a digit is lost, the speed gets smaller. If the whole exponent is lost, the speed is more than 2, which
-the board ignores. Shorter forms are not safe: `0.001` without its point is 1. `1e-3` without its 3 is 1, because
-ArduinoJson accepts `1e-`.
+the board ignores. The older ugv_base_general ignores it only on its main type 3. On its types 1 and 2, which take a
+share of the PWM, a lost minus sign or a lost 5 of the exponent means full speed. Shorter forms are not safe: `0.001`
+without its point is 1. `1e-3` without its 3 is 1, because ArduinoJson accepts `1e-`.
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ ANSWERS = (139, 1002)
 because a device that only sends back what it receives would send such a line."""
 LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
-       134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
-       141: "the gimbal (T:141)"}  # fmt: skip
+       134: "the gimbal (T:134)", 137: "the gimbal (T:137)"}  # fmt: skip
 """The commands that move no wheel, such as those for lights, gimbal and display. The keys are the commands' numbers
-(T), the values are their names in texts for people."""
+(T), the values are their names in texts for people. T:135 and T:141 are not among them. For these, the firmware asks
+each of the gimbal's servos and waits 100 ms for each answer (gimbal_module.h, SCSerial.cpp). If a servo does not
+answer, the board hears no stop for up to 0.8 s."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
 """How the T of each command in AUX is written. If `133` were written plainly, a byte lost on the cable could turn it
 into T:13, which drives the wheels."""
@@ -56,6 +58,10 @@ RADIO_OFF = b'{"T":3e2,"mode":0}\n'
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
 """Part of the line that the ESP32's ROM prints at every reset, at the same baud rate, for example rst:0xf
 (BROWNOUT_RST),boot:0x13 (...)."""
+_ABORT = b"[missionPlay abort.]"
+ABORTED = "it broke off its boot mission: wheels may turn backwards"
+"""The firmware plays its mission "boot" at its start, and breaks it off as soon as bytes wait (ugv_advance.h). It then
+lacks what the mission sets, such as its main type."""
 _SPEED = rb"(0|-?[1-9]\d{0,3}00e-5)"
 _LINE = re.compile(rb'\{"T":1,"L":%b,"R":%b\}\n' % (_SPEED, _SPEED))
 _ACCEL = 9.80665 / 8192
@@ -122,6 +128,8 @@ def reports() -> LineReader:
 def _samples(line: bytes) -> list[Sample]:
     if _BOOT.search(line):
         return [Restarted("it printed its boot text")]
+    if _ABORT in line:
+        return [Restarted(ABORTED)]
     try:
         said = json.loads(line)
     except (ValueError, RecursionError):
@@ -150,9 +158,9 @@ def _float(value: float) -> float:
 
 def _report(said: dict[str, object]) -> list[Sample]:
     found: list[Sample] = []
-    speeds, positions = _numbers(said, "L", "R"), _numbers(said, "odl", "odr")
-    if speeds or positions:
-        found.append(Wheels(speeds, positions))
+    # ugv_base_general's types 1 and 2 have no odometers. Their L and R are the commanded PWM.
+    if positions := _numbers(said, "odl", "odr"):
+        found.append(Wheels((), positions))
     # On a robot with an arm, ax, ay and az are the position of its hand.
     accel, gyro = _numbers(said, "ax", "ay", "az"), _numbers(said, "gx", "gy", "gz")
     if accel and gyro and "ab" not in said:

@@ -51,6 +51,8 @@ _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
 _KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
 _NO_ARM = "failstop can't move an arm on this board yet"
+_WAITS = {135: "stopping the gimbal (T:135)", 141: "the gimbal (T:141)"}
+_DEAF = "the board hears no stop for up to 0.8 s if a servo of the gimbal does not answer: use T:133 or T:134"
 _ODD = "a field in it is not known, too long, or neither a number nor a text, so it was not passed on"
 
 
@@ -154,6 +156,8 @@ class UgvDriver:
             return [DriverRefusal(f"a command for an arm (T:{kind})", _NO_ARM)]
         if kind == _RADIO and not _whole(fields.get(b"mode")):
             return [DriverFrame(codec.RADIO_OFF, "radio")]
+        if kind in _WAITS:
+            return [DriverRefusal(_WAITS[kind], _DEAF)]
         if kind in _KEEPS:
             return [DriverRefusal(_KEEPS[kind], "the board keeps the one that it has")]
         if kind == _RADIO:

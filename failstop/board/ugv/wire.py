@@ -88,11 +88,12 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=0,
     echo_ns=0,
-    # ugv_base_ros c967326, ugv_advance.h: T:1001 comes every 50 ms. L and R are the speeds of the last loop in m/s. odl
-    # and odr are whole cm, cut towards zero, and computed with the wheel size that the firmware has.
+    # ugv_base_ros c967326, ugv_advance.h: T:1001 comes every 50 ms. odl and odr are whole cm, cut towards zero, and
+    # computed with the wheel size that the firmware has. L and R are the speeds of the last loop alone: 0 in most
+    # reports of a wheel that turns slowly. So they prove nothing, and are not used.
     reports=Reports(
         every_ns=100 * _MS,
-        speed_per_rps=lambda _per_rps, diameter_m: pi * diameter_m,
+        speed_per_rps=None,
         position_per_turn=lambda _per_rps, diameter_m: 100 * pi * diameter_m,
         wraps=0.0,
         holds_speed=True,
@@ -112,7 +113,7 @@ WIRE = Wire(
         Commander(
             who="ESP-NOW: any ESP32 nearby can drive the robot by radio, without a password (by default)",
             remedy='{"T":301,"mode":0} on its page turns this off until the next power-on; to turn it off forever, '
-            'add it to its mission "boot": {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
+            "build the firmware without it, because its boot mission is broken off when this computer writes to it",
         ),
         Commander(
             who=(

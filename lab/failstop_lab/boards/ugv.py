@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from math import floor
 
 from failstop.board.ugv import codec
 from failstop.board.wire import TimedStop, Write
@@ -27,6 +28,9 @@ LOOP_NS = 1_000_000
 HEARTBEAT_MS = 3000
 FLOW_NS = 50_000_000
 TRACK_M = 0.172
+COUNT_M = 0.000381
+"""How far a wheel goes in one count of its encoder, of the firmware's default main type. L and R of a report are the
+counts of the last loop alone."""
 FASTEST = 2.0
 _MS = 1_000_000
 
@@ -90,7 +94,13 @@ class Ugv(Rolling):
         wheels = tuple(speed * self.gain for speed in self.reported)
         self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
         said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'
-        self.said.append((at_ns, said % (*wheels, *self._odometers)))
+        loop_s = self._period_ns / 1e9
+        ways_m = [way / 100 for way in self._odometers]
+        last = [
+            (floor(way / COUNT_M) - floor((way - speed * loop_s) / COUNT_M)) * COUNT_M / loop_s
+            for way, speed in zip(ways_m, wheels, strict=True)
+        ]
+        self.said.append((at_ns, said % (*last, *self._odometers)))
 
     def take(self, came: bytes) -> None:
         """Bytes, in one run of the main loop."""

@@ -123,7 +123,7 @@ CLAIMS = (
         "failstop stops the robot when a wheel runs away: the wheel does not slow down, and it either turns faster "
         "than commanded, turns the other way, or has not come to rest since it was commanded zero. This holds while "
         "motion is enabled, with boards that report their wheels more often than once a second.",
-        1700.0, "from when the wheel runs away, at 0.1 m/s, with the board that reports least often (`arduino`)",
+        1850.0, "from when the wheel runs away, at 0.1 m/s, with the board that is compared least often (`ugv`)",
         ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
     ),

@@ -71,11 +71,12 @@ def _by_imu(stand: ProveStand, stood: list[SeenSample], velocities: Iterable[Tur
 def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -> ByWheels:
     """Nothing is known of how such robots roll: the bar of rest is made of how this one does."""
     stood = _collect(stand, STOOD_S)
-    judged = sight.rests(stood)
+    apart_ns = stand.language.reports.apart_ns
+    judged = sight.rests(stood, apart_ns)
     if not judged or not judged[-1][1]:
         seen = "the board reports that its wheels turn" if judged else "the board does not report its wheels"
         raise Unfit(f"at rest: {seen}")
-    found = ByWheels(sight.longest_gap_s(stood), {})
+    found = ByWheels(sight.longest_gap_s(stood, apart_ns), {}, apart_ns=apart_ns)
     for velocity in velocities:
         turned = _spin(stand, velocity, SPIN_S * share)
         # Without the angle of steered wheels, which a frame carries behind the speeds.
@@ -104,10 +105,11 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
                 f"at {velocity.words} the board does not report that its wheels turn: "
                 f"{SIMULATED if stand.board else SUPPLIED}"
             )
-        found = dataclasses.replace(found, gap_s=max(found.gap_s, sight.longest_gap_s(turned)))
+        found = dataclasses.replace(found, gap_s=max(found.gap_s, sight.longest_gap_s(turned, apart_ns)))
         _come_to_rest(stand, velocity, found.verdict(begun_ns))
         stand.run(STAYS_S)
-        rest_ns = sight.rest_ns([sample for sample in stand.watch.samples if sample[0] >= begun_ns])
+        since = [sample for sample in stand.watch.samples if sample[0] >= begun_ns]
+        rest_ns = sight.rest_ns(since, apart_ns)
         if rest_ns is None:
             raise Restless(NOT_AT_REST.format(velocity.words))
         found.rolled_s[velocity.name] = (rest_ns - begun_ns) / NS

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from statistics import median
 
 from failstop.board.interface import Board, WheelReports
 from failstop.policy import kinematics, scale
 from failstop.policy.settings import Settings
+from failstop.procs.telemetry.wheels import Measured
 from failstop_lab.prove.sight import SeenSample
 from failstop_lab.prove.table import Turning
 from failstop_lab.prove.watch import Commanded
@@ -37,18 +38,32 @@ def measured(samples: Sequence[SeenSample], reports: WheelReports, commanded: Se
     A report is compared with the frame that was in force when it came, because repeated frames of a slow speed may
     differ by more than the speed that is looked for. Sums are compared, so a report of the frame before counts little.
     """
-    if not (reports.own_scale and reports.speed_per_rps):
+    if not reports.own_scale:
         return None
     times = [t_ns for t_ns, _ in commanded]
     sums: dict[int, tuple[float, float]] = {}
-    for t_ns, speeds, _ in samples:
+    for t_ns, speeds_rps, weight in _speeds(samples, reports):
         if not (at := bisect_right(times, t_ns)):
             continue
-        for wheel, (speed, wanted) in enumerate(zip(speeds, commanded[at - 1][1], strict=False)):
-            if speed and abs(wanted) >= TURNS_RPS:
+        for wheel, (speed_rps, wanted) in enumerate(zip(speeds_rps, commanded[at - 1][1], strict=False)):
+            if speed_rps and abs(wanted) >= TURNS_RPS:
                 seen, told = sums.get(wheel, (0.0, 0.0))
-                sums[wheel] = seen + speed / reports.speed_per_rps, told + wanted
+                sums[wheel] = seen + speed_rps * weight, told + wanted * weight
     return median(seen / told for seen, told in sums.values()) if sums else None
+
+
+def _speeds(samples: Sequence[SeenSample], reports: WheelReports) -> Iterator[tuple[int, tuple[float, ...], float]]:
+    """(when, the speed of each wheel in turns a second, its weight) of each report, or between two of positions that
+    are far enough apart."""
+    if reports.speed_per_rps:
+        for t_ns, speeds, _ in samples:
+            yield t_ns, tuple(speed / reports.speed_per_rps for speed in speeds), 1.0
+        return
+    measured, last_ns = Measured(reports), 0
+    for t_ns, _, positions in samples:
+        if measured.add((), positions, t_ns):
+            yield t_ns, measured.speeds_rps, (t_ns - last_ns) / 1e9 if last_ns else 0.0
+            last_ns = t_ns
 
 
 def of_simulated(true_rps: Sequence[float], told: Sequence[float], per_rps: float) -> tuple[str, ...]:

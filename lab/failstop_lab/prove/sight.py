@@ -125,19 +125,21 @@ class ByWheels(Sight):
     """At each velocity the measured speed of the wheels over the told one; empty: not known."""
     notes: tuple[str, ...] = ()
     """What else the report should say of the speeds."""
+    apart_ns: int = 0
+    """How far apart its reports of positions must be to be compared (WheelReports.apart_ns)."""
 
     by = "wheels"
     source = "board's report of its wheels"
 
     def verdict(self, begin_ns: int = 0) -> shake.Verdict:
-        return shake.Verdict(ReadBack(), begin_ns)
+        return shake.Verdict(ReadBack(self.apart_ns), begin_ns)
 
     def turning(self, samples: Sequence[SeenSample]) -> bool:
-        judged = rests(samples)
+        judged = rests(samples, self.apart_ns)
         return bool(judged) and not any(still for _, still in judged)
 
     def rest_ns(self, samples: Sequence[SeenSample], velocity: str) -> int | None:
-        return rest_ns(samples)
+        return rest_ns(samples, self.apart_ns)
 
     def blind_ns(self, samples: Sequence[SeenSample], begin_ns: int, end_ns: int) -> int:
         silent_ns = shake.blind_ns(samples, begin_ns, end_ns)
@@ -159,24 +161,24 @@ class ByWheels(Sight):
         return dataclasses.asdict(self)
 
 
-def rests(samples: Sequence[SeenSample]) -> list[tuple[int, bool]]:
-    """(when, whether the wheels stood) of each report that says it."""
-    judge = ReadBack()
+def rests(samples: Sequence[SeenSample], apart_ns: int = 0) -> list[tuple[int, bool]]:
+    """(when, whether the wheels stood) of each report that says it. `apart_ns`: WheelReports.apart_ns."""
+    judge = ReadBack(apart_ns)
     told = ((t_ns, judge.add(speeds, positions, t_ns)) for t_ns, speeds, positions in samples)
     return [(t_ns, judge.still_ns > 0) for t_ns, judged in told if judged and judge.judged_ns]
 
 
-def rest_ns(samples: Sequence[SeenSample]) -> int | None:
+def rest_ns(samples: Sequence[SeenSample], apart_ns: int = 0) -> int | None:
     """The first report of a rest that lasts; None: the last one tells of turning wheels, or there is none."""
     found = None
-    for t_ns, still in rests(samples):
+    for t_ns, still in rests(samples, apart_ns):
         found = (found or t_ns) if still else None
     return found
 
 
-def longest_gap_s(samples: Sequence[SeenSample]) -> float:
+def longest_gap_s(samples: Sequence[SeenSample], apart_ns: int = 0) -> float:
     """Between two reports that say whether the wheels stand; 0: there are no two."""
-    return max((two - one for (one, _), (two, _) in pairwise(rests(samples))), default=0) / NS
+    return max((two - one for (one, _), (two, _) in pairwise(rests(samples, apart_ns))), default=0) / NS
 
 
 class _Nothing:

@@ -371,7 +371,7 @@ class Stage:
 
     def run_away(self, faster: float) -> None:
         """The first wheel turns so many times as fast as it is told."""
-        every_ms = self.traits.language.reports.every_ns // MS
+        every_ms = self.traits.language.reports.judged_ns // MS
         self.must_stop("a wheel runs away", RUN_DOWN_MS + 3 * every_ms, COMPARED)
         self.robot.board.catch_up()
         self.robot.board.model.roll(faster, 0.0)
@@ -380,7 +380,7 @@ class Stage:
         """Somebody pushes the first wheel, or another program drives it, while the service tells it zero; 0: not any
         more. If it goes on, motion is disabled, and then a stop is latched."""
         if rps:
-            every_ms = self.traits.language.reports.every_ns // MS
+            every_ms = self.traits.language.reports.judged_ns // MS
             self.witness.must_refuse("the wheels turned although they were told zero", (UNASKED_MS + 4 * every_ms) * MS)
         self.robot.board.catch_up()
         self.robot.board.model.roll(1.0, rps)
