@@ -18,7 +18,7 @@ class Pace:
     """
 
     def __init__(self, reports: WheelReports) -> None:
-        self._measured = Measured(reports)
+        self._measured = Measured(reports, summed=True)
         self._fits = scale.WHEELS_FIT[reports.holds_speed]
         self._ratios: list[Ratio] = []
         self._last_ns = 0

@@ -52,9 +52,9 @@ class Measured:
     restarted or its counters were reset. The new value is then believed, but the jump does not count as turns.
     """
 
-    def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
+    def __init__(self, reports: WheelReports, most_rps: float = 0.0, *, summed: bool = False) -> None:
         """`most_rps`: the highest speed that may be commanded, turns per second. A report far above it is not
-        believed."""
+        believed. `summed`: True if the speeds are summed up over many reports, so that each may be rough."""
         self._reports = reports
         self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
         self.counts = reports.position_per_turn > 0
@@ -62,7 +62,7 @@ class Measured:
         reports may be lost."""
         self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
         """How many turns one count is. 0 if that is too small to matter, or if the board does not count."""
-        self._apart_ns = max(SAME_READ_NS, reports.apart_ns)
+        self._apart_ns = SAME_READ_NS if summed else max(SAME_READ_NS, reports.apart_ns)
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
         """The time when the newest believed report came, or 0 if there is none."""

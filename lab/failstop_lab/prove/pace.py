@@ -59,7 +59,7 @@ def _speeds(samples: Sequence[SeenSample], reports: WheelReports) -> Iterator[tu
         for t_ns, speeds, _ in samples:
             yield t_ns, tuple(speed / reports.speed_per_rps for speed in speeds), 1.0
         return
-    measured, last_ns = Measured(reports), 0
+    measured, last_ns = Measured(reports, summed=True), 0
     for t_ns, _, positions in samples:
         if measured.add((), positions, t_ns):
             yield t_ns, measured.speeds_rps, (t_ns - last_ns) / 1e9 if last_ns else 0.0
