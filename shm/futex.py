@@ -27,6 +27,7 @@ import struct
 from collections.abc import Callable
 from time import monotonic_ns, sleep
 
+from failstop.shm import owned
 from failstop.shm.words import LINE_BYTES
 
 PER_BLOCK = 2
@@ -65,7 +66,8 @@ class Futex:
         """Map the page that contains the futex and all its lines. While a thread waits on the futex, the caller must
         keep `fd` open. Raises OSError."""
         self._fd = fd
-        self._owned = False
+        self._own: owned.File | None = None
+        """The file behind `_fd` if this object has to close it, and otherwise None."""
         self._offset = offset
         start = offset // mmap.PAGESIZE * mmap.PAGESIZE
         access = mmap.PROT_READ | (mmap.PROT_WRITE if write else 0)
@@ -79,7 +81,7 @@ class Futex:
         another file could get the number of the closed `fd`, and a thread that is about to hold this futex would write
         to that file. Call this at most once. Raises OSError."""
         self._fd = os.dup(self._fd)
-        self._owned = True
+        self._own = owned.file_of(self._fd)
 
     def _value(self) -> int:
         try:
@@ -138,8 +140,7 @@ class Futex:
     def close(self) -> None:
         """Unmap the page. Call it when no thread of this process holds the futex or waits for it."""
         _libc.munmap(self._page, mmap.PAGESIZE)
-        if self._owned:
-            os.close(self._fd)
+        owned.close(self._fd, self._own)
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)

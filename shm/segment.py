@@ -4,10 +4,9 @@ they are."""
 from __future__ import annotations
 
 import mmap
-import os
 
 from failstop.data import Data
-from failstop.shm import cell
+from failstop.shm import cell, owned
 from failstop.shm.cell import FileView, LatestReader, LatestWriter, RingReader, RingWriter
 from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
@@ -63,6 +62,7 @@ class Segment:
         self.mapped = mapped
         self.view: FileView | mmap.mmap = FileView(fd) if mapped is None else mapped
         self._fd = fd
+        self._file = owned.file_of(fd)
 
     def _place(self, name: str, kind: str) -> tuple[Record, int]:
         record = self.spec.records[name]
@@ -125,5 +125,4 @@ class Segment:
         fd, self._fd = self._fd, -1
         if isinstance(self.view, FileView):
             self.view.fd = -1  # the number may be reused for another file, which this view must not reach
-        if fd >= 0:
-            os.close(fd)
+        owned.close(fd, self._file)

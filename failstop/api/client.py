@@ -22,7 +22,7 @@ from failstop.api.held import HeldByThread
 from failstop.files import instance
 from failstop.messages import layout, records, segments
 from failstop.policy.causes import Reply, unpack_reply
-from failstop.shm import bell, claim, segment
+from failstop.shm import bell, claim, owned, segment
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import pid_namespace
 from failstop.shm.words import Barrier
@@ -139,21 +139,20 @@ class SeenRun:
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
-        self._life = -1
+        self._life, self._life_file = -1, None
         self.name = name
         self.found = run(name)
         """The name that the run's segments share, and the uid of their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(segments.open_life, *self.found)
+        self._life_file = owned.file_of(self._life)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.run_record("rules")
         """When the run began (CLOCK_MONOTONIC, ns). This is the time of the record `rules`, which the supervisor writes
         only once, at the beginning."""
 
     def __del__(self) -> None:
-        if self._life >= 0:
-            with contextlib.suppress(OSError):  # the program has closed this descriptor
-                os.close(self._life)
+        owned.close(self._life, self._life_file)
 
     def shares_pids(self) -> bool:
         """True if the pids of the service are valid in this program, because both are in the same pid namespace."""
@@ -170,6 +169,8 @@ class SeenRun:
     def over(self) -> bool:
         """True if this run of the service has ended. A run ends when its supervisor dies. The check takes one system
         call, so every call to the service makes it."""
+        if self._life < 0:
+            return True
         try:
             return not segments.lives(self._life)
         except OSError:  # the program has closed this descriptor; a new SeenRun opens another
@@ -209,9 +210,9 @@ class Client:
         with contextlib.ExitStack() as taken:
             try:
                 claims = claim.open_claims(instance.claims_path(directory))
-                taken.callback(os.close, claims)
+                taken.callback(owned.close, claims, owned.file_of(claims))
                 self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
-                taken.callback(os.close, self._bell)
+                taken.callback(owned.close, self._bell, owned.file_of(self._bell))
                 self.slot, self._segment = self._claim_slot(claims, found, gate.incarnation)
                 taken.callback(self._segment.close)
             except PermissionError:
@@ -235,6 +236,9 @@ class Client:
             own = os.getpid(), _files(self._segment.fileno(), self._bell)
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, *own)
             self._drop = weakref.finalize(self, taken.pop_all().close)
+            # At the end of Python, finalizers would run before functions that the program has registered earlier with
+            # atexit. One of them may be close(), which says goodbye.
+            self._drop.atexit = False
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
         self.rename(who, pid)
@@ -333,17 +337,16 @@ class Client:
         """Give the slot back, so that the last command of this client no longer counts. `in_order`: True if the client
         ends normally and says goodbye to the gate; False if the gate must treat its end as a crash."""
         if in_order:
-            lies = self._segment.latest_reader("left").read()
-            self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
-        self._drop()
+            with contextlib.suppress(OSError):  # the program has closed this descriptor
+                lies = self._segment.latest_reader("left").read()
+                self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
+        if kept := self._drop.detach():  # calling it would do nothing at the end of Python
+            kept[1]()
 
 
-def _files(*fds: int) -> list[tuple[int, int]]:
-    """The device and inode of the file behind each descriptor. Empty if one of the descriptors is closed."""
-    try:
-        return [(found.st_dev, found.st_ino) for found in map(os.fstat, fds)]
-    except OSError:
-        return []
+def _files(*fds: int) -> list[owned.File | None]:
+    """The file behind each descriptor."""
+    return [owned.file_of(fd) for fd in fds]
 
 
 def _give_back(
@@ -353,7 +356,7 @@ def _give_back(
     life: HeldByThread | None,
     farewell: list[bytes],
     owner: int,
-    files: list[tuple[int, int]],
+    files: list[owned.File | None],
 ) -> None:
     """Give a slot back, so that its last command no longer counts. Nothing is written in a forked child, because the
     slot still belongs to the parent process `owner`. Nothing is written either if the program has closed the slot's

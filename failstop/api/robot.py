@@ -214,6 +214,14 @@ class Calls(Session):
         return Arm(self)
 
 
+def _ends_in_order(raised: object) -> bool:
+    """True if a program that leaves `with` by this exception, or by None, ends normally. A task that is cancelled and a
+    generator that is closed do not: usually another part of the program has failed."""
+    if isinstance(raised, SystemExit):
+        return not raised.code
+    return raised is None or isinstance(raised, KeyboardInterrupt)
+
+
 class AsyncRobot(Calls):
     """A robot for asyncio, from `Robot.connect()`. It is an asynchronous context manager, and belongs to one event
     loop. It has every method of Robot, and only enable, disable, reset, limit_speed and wait_for are awaited. A method
@@ -224,7 +232,7 @@ class AsyncRobot(Calls):
         return self
 
     async def __aexit__(self, *raised: object) -> None:
-        in_order = not isinstance(raised[1], Exception)
+        in_order = _ends_in_order(raised[1])
         try:
             with contextlib.suppress(FailstopError):
                 if self._disables_at_end(in_order=in_order):
@@ -308,7 +316,7 @@ class Robot(Calls):
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._close(in_order=not isinstance(raised[1], Exception))
+        self._close(in_order=_ends_in_order(raised[1]))
 
     def drive(
         self,

@@ -29,6 +29,57 @@ def test_a_robot_in_an_event_loop(trial: Trial) -> None:
     assert not trial.robot.state.enabled
 
 
+def test_a_driver_that_is_cancelled_because_another_task_failed_has_not_ended_cleanly(trial: Trial) -> None:
+    """Motion that somebody else enabled stays enabled after a clean end, so that the program would drive off again."""
+
+    async def drives(begun: asyncio.Event) -> None:
+        async with Robot.connect(trial.name, disable_on_exit=False) as robot:
+            while True:
+                robot.sensed()
+                state = robot.state
+                robot.drive(0.1 if state.enabled else 0.0, 0.0, 0.0)
+                if state.moving:
+                    begun.set()
+                await asyncio.sleep(0.02)
+
+    async def fails() -> None:
+        begun = asyncio.Event()
+        driver = asyncio.create_task(drives(begun))
+        await asyncio.sleep(0)
+        await asyncio.to_thread(trial.robot.wait_for, "ready", 5.0)
+        await asyncio.to_thread(trial.robot.enable)
+        await asyncio.wait_for(begun.wait(), 5.0)
+        driver.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await driver
+
+    asyncio.run(fails())
+    assert not trial.robot.wait_for("disabled", 5.0).enabled
+    assert trial.robot.state.cause is None
+
+
+@pytest.mark.parametrize(
+    ("raised", "clean"),
+    [
+        (None, True),
+        (KeyboardInterrupt(), True),
+        (SystemExit(), True),
+        (SystemExit(0), True),
+        (SystemExit(1), False),
+        (SystemExit("camera lost"), False),
+        (asyncio.CancelledError(), False),
+        (GeneratorExit(), False),
+        (RuntimeError(), False),
+    ],
+)
+def test_which_ends_are_clean(raised: BaseException | None, clean: bool) -> None:
+    ends: list[bool] = []
+    robot = Robot.__new__(Robot)
+    robot._close = lambda *, in_order: ends.append(in_order)  # type: ignore[method-assign]
+    robot.__exit__(type(raised) if raised else None, raised, None)
+    assert ends == [clean]
+
+
 def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
     async def stop_is_told() -> list[str]:
         async with Robot.connect(trial.name) as robot:

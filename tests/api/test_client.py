@@ -65,3 +65,49 @@ os._exit(0)
 """
     subprocess.run((sys.executable, "-c", program), check=True)
     assert own.read_bytes() == b"mine" * 5000
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_program_that_has_closed_all_descriptors_goes_on_with_its_robot(trial: Trial, driven: bool) -> None:
+    program = f"""
+import os
+from failstop import Robot
+
+robot = Robot({trial.name!r})
+robot.state
+if {driven}:
+    robot.drive(0.0, 0.0, 0.0, wait_s=0)
+os.closerange(3, 64)
+for _ in range(3):
+    robot.drive(0.0, 0.0, 0.0, wait_s=0)
+    print(robot.state.enabled)
+robot.close()
+"""
+    done = subprocess.run((sys.executable, "-c", program), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n" * 3, "")
+
+
+@pytest.mark.parametrize("closes", ["atexit.register(robot.close)", "pass"])
+def test_a_robot_that_is_closed_at_exit_has_ended_cleanly(trial: Trial, closes: str) -> None:
+    """Without close(), it counts as dead."""
+    trial.robot.wait_for("ready", 5.0)
+    trial.robot.enable()
+    program = f"""
+import atexit, time
+from failstop import Robot
+
+robot = Robot({trial.name!r}, disable_on_exit=False)
+{closes}
+for _ in range(5):
+    robot.sensed()
+    robot.drive(0.0, 0.0, 0.0)
+    time.sleep(0.02)
+"""
+    done = subprocess.run((sys.executable, "-c", program), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    if closes == "pass":
+        trial.robot.wait_for("disabled", 5.0)
+        return
+    assert trial.robot.state.enabled
+    trial.robot.drive(0.0, 0.0, 0.0)  # a further decision of the gate, which has read the goodbye by then
+    assert trial.robot.state.enabled
