@@ -7,9 +7,15 @@ descriptor 1 or 2, and all texts for people would go to the board.
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import os
 import sys
+from _queue import SimpleQueue
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 
 def fill() -> None:
@@ -33,9 +39,67 @@ def accept_any_bytes() -> None:
         sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
 
 
+class Printer:
+    """Prints texts in their order, in a thread of its own. Until done(), nobody has to wait for a paused terminal, or
+    for a pipe that nobody reads."""
+
+    def __init__(self) -> None:
+        self._texts: SimpleQueue[tuple[Callable[[str], None], str] | None] = SimpleQueue()
+        self._ended: _thread.LockType | None = None
+        """Locked while the thread runs. None before the first text."""
+
+    def put(self, prints: Callable[[str], None], text: str) -> None:
+        """Have `prints(text)` called soon."""
+        if self._ended is None:
+            ended = _thread.allocate_lock()
+            ended.acquire()
+            try:
+                _thread.start_new_thread(self._print, (ended,))
+            except RuntimeError:  # no thread can be started
+                prints(text)
+                return
+            self._ended = ended
+        self._texts.put((prints, text))
+
+    def done(self) -> None:
+        """Wait until everything is printed."""
+        self._texts.put(None)
+        if self._ended:
+            self._ended.acquire()
+
+    def _print(self, ended: _thread.LockType) -> None:
+        while (found := self._texts.get()) is not None:
+            prints, text = found
+            prints(text)
+        ended.release()
+
+
+_printer: Printer | None = None
+
+
+@contextlib.contextmanager
+def never_waiting() -> Iterator[None]:
+    """Within this context, say() and print_line() return at once, so that a stop does not wait for its texts. Its end
+    waits until they are printed."""
+    global _printer
+    _printer = Printer()
+    try:
+        yield
+    finally:
+        printer, _printer = _printer, None
+        printer.done()
+
+
 def say(text: str) -> None:
     """Print a line on standard error, wrapped at spaces on a terminal. Never raises, so that a full disk or a closed
     terminal does not end the command."""
+    if _printer:
+        _printer.put(_say, text)
+    else:
+        _say(text)
+
+
+def _say(text: str) -> None:
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
@@ -45,12 +109,19 @@ def say(text: str) -> None:
 
 def print_line(text: str) -> None:
     """Print a line on standard output, or on standard error if standard output can't be written. Never raises."""
+    if _printer:
+        _printer.put(_print_line, text)
+    else:
+        _print_line(text)
+
+
+def _print_line(text: str) -> None:
     try:
         sys.stdout.write(folded(text) + "\n")
         sys.stdout.flush()
     except (OSError, ValueError):
         let_go()
-        say(text)
+        _say(text)
 
 
 def folded(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import signal
@@ -313,3 +314,27 @@ def test_a_port_that_another_user_s_file_names_and_that_is_not_theirs_is_not_wri
     gets(other, BURST)
     os.close(other)
     os.close(theirs)
+
+
+def test_a_stop_does_not_wait_for_somebody_to_read_what_it_prints(board: tuple[str, int]) -> None:
+    """Its output is a full pipe, as of a program that starts it and does not read, and it has something to say before
+    it writes the stop."""
+    link, master = board
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writes, b"." * 4096)
+    os.set_blocking(writes, True)
+    words = (*FAILSTOP, "stop", "--end-service", "--device", link)
+    with subprocess.Popen(words, stdout=writes, stderr=writes) as stop:
+        os.close(writes)
+        gets(master, BURST)
+        assert stop.poll() is None, "it has more to say"
+        said = b""
+        while chunk := os.read(reads, 65536):
+            said += chunk
+        assert stop.wait(10) == 1
+    os.close(reads)
+    assert said.lstrip(b".").startswith(b"failstop: nothing killed"), said[-500:]
+    assert b"stop frame sent" in said

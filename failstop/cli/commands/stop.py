@@ -94,6 +94,11 @@ def main(arguments: Namespace) -> int:
     - With --services, a service has not confirmed its stop.
     - --end-service was used outside of the service's systemd unit.
     """
+    with standard.never_waiting():
+        return _stop(arguments)
+
+
+def _stop(arguments: Namespace) -> int:
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)
@@ -280,7 +285,6 @@ def _every_service(reason: str, who: str) -> int:
     doubt about it, else 1."""
     from failstop.api import ask
 
-    # First stop all of them, and then print, because printing may be delayed.
     answers = [ask.stop(name, reason, who) for name in instances.listening()]
     for done, problem, _ in answers:
         if done:
