@@ -99,12 +99,25 @@ def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
         return text
 
 
-def say(text: str) -> None:
-    """Write one message to stderr, folded if stderr is a terminal. The service must never wait for its log, so the
-    message is dropped if it can't be written at once, for example because the terminal is paused by Ctrl-S."""
+def without_waiting() -> int:
+    """Return a descriptor of stderr for say(). A terminal accepts a part of a message and then waits for room, even if
+    it reported room before. So a terminal is opened once more, because the shell has stderr itself too, which must not
+    become non-blocking."""
     try:
-        if select.select((), (STDERR,), (), 0)[1]:
-            os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
+        if os.isatty(STDERR):
+            return os.open(os.ttyname(STDERR), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except OSError:
+        pass
+    return STDERR
+
+
+def say(text: str, fd: int = STDERR) -> None:
+    """Write one message to stderr, folded if stderr is a terminal. The service must never wait for its log, so the
+    message is dropped if it can't be written at once, for example because the terminal is paused by Ctrl-S. `fd`: from
+    without_waiting()."""
+    try:
+        if select.select((), (fd,), (), 0)[1]:
+            os.write(fd, f"{fitted(PREFIX + text, fd)}\n".encode("utf-8", "replace"))
     except OSError:
         return
 
@@ -118,6 +131,7 @@ class Events:
         self._name = name
         self._ring = ring
         self._journal = journal
+        self._stderr = without_waiting()
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
         """When the current minute began. In each minute, the events of one sort may take only a limited number of bytes
@@ -180,7 +194,7 @@ class Events:
         if self._ring:
             self._ring.put(ring_entry(t_ns, unix_s, kind, level, text, fields, len(what) if step else 0), t_ns)
         if not self._journal or not self._journal.send(datagram):
-            say(text)
+            say(text, self._stderr)
 
     def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
         """Count `size` bytes for this sort of event. Returns False if the sort has used up its bytes for this minute.

@@ -7,6 +7,8 @@ import errno
 import os
 import select
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,6 +63,25 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_supervisor(pipe: tuple[in
         for _ in range(5):
             say("STOP latched: key1")
     assert time.monotonic() - before < 5
+
+
+@pytest.mark.starts
+def test_a_terminal_that_nobody_reads_does_not_hold_up_the_supervisor() -> None:
+    """It reports room as long as it has any, and would then wait for room for the rest of a message."""
+    program = """
+import os, pty, sys
+from failstop.supervisor.events import say, without_waiting
+
+_master, terminal = pty.openpty()
+os.dup2(terminal, 2)
+fd = without_waiting()
+assert not os.get_blocking(fd) and os.get_blocking(2)
+for at in range(3000):
+    say("word " * (8 + at * 7 % 40), fd)
+print("never blocked")
+"""
+    done = subprocess.run((sys.executable, "-c", program), capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "never blocked\n"
 
 
 @pytest.mark.parametrize("closed", [False, True])
