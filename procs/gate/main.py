@@ -345,9 +345,12 @@ class Gate:
         if reply:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
-    def _missing(self) -> str:
+    def _missing(self, now_ns: int) -> str:
         """Return a text that says why motion can't be enabled yet, for example because a process is not up. Empty if
         the service is ready."""
+        silent_ns = self._supervisor_heart.age_ns(now_ns)
+        if silent_ns > self._lease_ns:  # the port owner would admit no motion
+            return f"the supervisor has been silent for {silent_ns / 1e9:.2f} s, see `failstop status`"
         if self._ready_word.get():
             return ""
         link = self._link.read()
@@ -359,7 +362,7 @@ class Gate:
         """Enable motion, if nothing forbids it. If the arm has a drive pose, the arm goes there first. In this case,
         the returned reply only reports progress, and the final reply comes when the arm is there."""
         way = None
-        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
+        if self.arm and not self.core.enabled and not self.core.refusal(self._missing(now_ns), now_ns):
             way = self.arm.enable(request, now_ns)
         return way or self._allow_motion(now_ns)
 
@@ -367,7 +370,7 @@ class Gate:
         """Read all new commands, then enable motion if nothing forbids it. This order matters: a program that already
         commands motion is then held until it sends zero or pauses, so it can't drive off."""
         self._hear_clients(self.clients.commands(), now_ns)
-        return self.core.enable(self.epoch, self._missing(), now_ns)
+        return self.core.enable(self.epoch, self._missing(now_ns), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
         """Disable motion. Turning wheels are stopped, but nothing is latched."""

@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from failstop import Refused
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
 from failstop_lab.trial import Trial, wait_for
@@ -47,3 +48,18 @@ def test_a_suspended_service_stops_and_tells_what_has_happened(fresh: Trial) -> 
     wait_for("its outcome", lambda: "by a signal: acknowledged by the board after " in fresh.service.said())
     assert "starve" not in fresh.service.said(), "it is no news of the load"
     set_off(fresh)
+
+
+def test_motion_is_not_enabled_while_the_supervisor_is_suspended(fresh: Trial) -> None:
+    """The gate would say that it is, and stop a tick later."""
+    pid = fresh.service.pids()[SUPERVISOR]
+    fresh.robot.wait_for("ready", 5.0)
+    os.kill(pid, signal.SIGSTOP)
+    wait_for("it to be told", lambda: shown(fresh) == "suspended")
+    with pytest.raises(Refused, match=r"not ready: the supervisor has been silent for \d"):
+        fresh.robot.enable()
+    assert fresh.robot.state.cause is None
+    os.kill(pid, signal.SIGCONT)
+    wait_for("it to go on", lambda: shown(fresh) == "running")
+    fresh.robot.wait_for("ready", 5.0)
+    assert fresh.robot.enable()
