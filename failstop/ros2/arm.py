@@ -16,7 +16,8 @@ from failstop.api.robot import Robot
 from failstop.policy import causes
 from failstop.ros2 import report, words
 from failstop.ros2.alive import Unwatched
-from failstop.ros2.commanders import FRESH_NS, Asking, names, reason, rivals
+from failstop.ros2.awake import Awake
+from failstop.ros2.commanders import Asking, names, reason, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch, publishers
@@ -43,6 +44,7 @@ class ArmFace:
         shared: Shared,
         stamps: Stamps,
         waited_ns: Callable[[], int],
+        awake: Awake,
     ) -> None:
         """`link`: the executor's connection, for requests that take no time. `waited_ns`: returns how long the current
         message has waited for its callback."""
@@ -62,15 +64,11 @@ class ArmFace:
         self._way_job: Job | None = None
         """The job of the action's goal."""
         self._waited_ns = waited_ns
+        self._awake = awake
         self.goal_timeout_s = 0.5
         """How old a goal may be, s (setting arm.goal_timeout_s). An older goal is refused."""
         self.unwatched_s = 3.0
         """The longest allowed duration of a goal from the topic, s (setting arm.unwatched_s)."""
-        self._turned_ns = monotonic_ns()
-        self._since_ns = 0
-        """Goals that arrived before this time may have waited in the kernel for `_away_ns`, because this node did not
-        run."""
-        self._away_ns = 0
         self._busy_ns = 0
         self._asking_stop = Asking()
         kind = type_of(ARM_BUSY.type)
@@ -147,10 +145,13 @@ class ArmFace:
 
     def _answerer(self, act: Callable[[Robot], Any]) -> Any:
         async def answer(_request: Any, response: Any) -> Any:
-            job = self.begin(act)
-            while not job():
-                await Turn()
             try:
+                # A hold and a read are never too old, because they start no motion.
+                if act not in (_read, _hold):
+                    self._awake.check_request()
+                job = self.begin(act)
+                while not job():
+                    await Turn()
                 response.success, response.message = True, str(job.result())
             except FailstopError as error:
                 response.success, response.message = False, words.refused(error)
@@ -161,7 +162,6 @@ class ArmFace:
     def poll(self, now_ns: int) -> None:
         """Do everything that is due for the arm: publish whether it moves, watch who publishes goals, and log failed
         goals. Call it whenever the watch runs."""
-        self._turned(now_ns)
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
             self._busy.publish(fill(self._message, {"data": report.busy(self._shared.state)}))
@@ -180,19 +180,9 @@ class ArmFace:
             except FailstopError as error:
                 self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
-    def _turned(self, now_ns: int) -> None:
-        """Record that this node runs. After a pause longer than a goal's timeout, all waiting goals count as old,
-        because nobody knows how long they have waited in the kernel."""
-        if now_ns - self._turned_ns > self.goal_timeout_s * 1e9:
-            self._since_ns, self._away_ns = now_ns + FRESH_NS, now_ns - self._turned_ns
-        self._turned_ns = now_ns
-
     def _old(self, waited_ns: int = 0) -> str:
         """Why the current goal is too old. Empty if it is not. `waited_ns`: the least time that it has waited."""
-        now_ns = monotonic_ns()
-        self._turned(now_ns)
-        if now_ns - waited_ns < self._since_ns:
-            waited_ns = self._away_ns
+        waited_ns = self._awake.waited_ns(waited_ns)
         return words.waited(waited_ns / 1e9) if waited_ns > self.goal_timeout_s * 1e9 else ""
 
     def _watch_sender(self, now_ns: int) -> None:

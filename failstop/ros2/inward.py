@@ -13,6 +13,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
+from failstop.ros2.awake import Awake
 from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, Owed, reason, waited_ns, wrong_ends
 from failstop.ros2.contract import (
     CLIENT,
@@ -66,6 +67,9 @@ class Inward:
         self._lag = Lag()
         self._stamps = Stamps(lambda: int(node.get_clock().now().nanoseconds))
         self._received_ns = self._sent_ns = 0
+        self._awake = Awake()
+        self._epoch = 0
+        """The epoch of the service's state at the last turn before the present pause."""
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
         self._run = 0
@@ -124,6 +128,8 @@ class Inward:
     def turn(self) -> None:
         """Run the watch if it is due within EARLY_NS, so that the thread need not wake up only for the watch. Call this
         after every turn of the spinner."""
+        if not self._awake.waited_ns():
+            self._epoch = state.epoch if (state := self._shared.state) else 0
         if (now_ns := monotonic_ns()) >= self._watch_ns - EARLY_NS:
             self._watch_ns = now_ns + WATCH_NS
             self._watch()
@@ -191,7 +197,7 @@ class Inward:
         self._scan.needed = settings["scan.gate"] == "on"
         if self.arm is None and any(key.startswith("joints.") for key in settings):
             common = (self._node, self._qos, self._group, self._link, self._shared)
-            self.arm = ArmFace(*common, self._stamps, self._waited_ns)
+            self.arm = ArmFace(*common, self._stamps, self._waited_ns, self._awake)
         if self.arm:
             self.arm.goal_timeout_s = float(settings["arm.goal_timeout_s"])
             self.arm.unwatched_s = float(settings["arm.unwatched_s"])
@@ -285,21 +291,29 @@ class Inward:
 
     async def _enable(self, request: Any, response: Any) -> Any:
         """Enable or disable motion. With an arm this takes seconds, so the executor does other work meanwhile."""
-        if request.data and self.arm:
+        if not request.data:
+            if self.arm:
+                self.arm.give_up()
+            return self._answer(response, lambda: self._link.call(Robot.disable, at_once=True) and words.DISABLED)
+        try:
+            self._awake.check_request()
+        except Refused as error:
+            response.success, response.message = False, words.refused(error)
+            return response
+        if self.arm:
             ended = self.arm.begin(Robot.enable)
             while not ended():
                 await Turn()
             return self._answer(response, lambda: ended.result() and words.ENABLED)
-        if request.data:
-            return self._answer(response, lambda: self._link.call(Robot.enable, at_once=True) and words.ENABLED)
-        if self.arm:
-            self.arm.give_up()
-        return self._answer(response, lambda: self._link.call(Robot.disable, at_once=True) and words.DISABLED)
+        return self._answer(response, lambda: self._link.call(Robot.enable, at_once=True) and words.ENABLED)
 
     def _reset(self, _request: Any, response: Any) -> Any:
         return self._answer(response, self._ask_reset)
 
     def _ask_reset(self) -> str:
+        self._awake.check_request()
+        # After a pause, only the stop from before it is reset, because the caller can't have seen a newer one.
+        seen = self._epoch if self._awake.waited_ns() else 0
         now_ns = monotonic_ns()
         self.graph.ask(self._link, now_ns)
         if cause := self._commanders.cause(now_ns):
@@ -309,7 +323,7 @@ class Inward:
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
             who = self._commanders.names()
             raise Refused(words.still_commands(who, self._velocity, self._timeout_s))
-        return words.reset(self._link.call(_reset))
+        return words.reset(self._link.call(lambda robot: _reset(robot, seen)))
 
     def _answer(self, response: Any, act: Any) -> Any:
         try:
@@ -343,8 +357,8 @@ def _axes(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-def _reset(robot: Robot) -> Cause | None:
-    """Reset the latched stop. Returns its cause."""
+def _reset(robot: Robot, seen: int) -> Cause | None:
+    """Reset the latched stop. Returns its cause. `seen`: the epoch of the only stop that may be reset, or 0 for any."""
     was = robot.state.cause
-    robot.reset()
+    robot.reset(seen=seen)
     return was

@@ -55,6 +55,11 @@ def waited(waited_s: float) -> str:
     return f"it waited {waited_s:.3f} s here; is the machine overloaded?"
 
 
+def ask_again(waited_s: float) -> str:
+    """Why a service request is refused that may have waited while the bridge did not run."""
+    return f"it may have waited for {waited_s:.3f} s, because the bridge did not run: ask again"
+
+
 def repaired(late_s: float) -> str:
     """Why a message that took longer than others to arrive is refused."""
     return f"it came {late_s:.3f} s later than others of its publisher; is the network overloaded?"

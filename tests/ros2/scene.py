@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -299,6 +300,16 @@ class BridgeTrial:
             pytest.fail(f"{error}; the bridge ({self.bridge.process.poll()}) said: {self.bridge.said()[-2000:]}")
         state: dict[str, Any] = json.loads(found["data"])
         return state
+
+    def call_asleep(self, service: str, *, for_s: float = 1.0, **fields: Any) -> tuple[bool, str]:
+        """Call a service of the bridge, which is suspended for the first `for_s` of the call."""
+        self.bridge.send(signal.SIGSTOP)
+        waking = threading.Timer(for_s, self.bridge.send, (signal.SIGCONT,))
+        waking.start()
+        try:
+            return self.eyes.call(service, **fields)
+        finally:
+            waking.join()
 
     def scan(self) -> Node:
         lidar = self.node("lidar")

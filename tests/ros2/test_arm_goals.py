@@ -14,6 +14,7 @@ from failstop.api.errors import FailstopError, NoAnswer
 from failstop.policy import causes
 from failstop.ros2 import arm
 from failstop.ros2.arm import ArmFace
+from failstop.ros2.awake import Awake
 from failstop.ros2.commanders import Reason
 from failstop.ros2.shared import Shared
 from failstop.ros2.stamps import Stamps
@@ -73,7 +74,7 @@ def face(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(arm, "type_of", lambda name: SimpleNamespace)
     monkeypatch.setattr(arm, "RobotLink", lambda name: Link())
     link: Any = Link()
-    made = ArmFace(Node(), lambda qos: qos, lambda: None, link, Shared(), Stamps(lambda: 0), lambda: 0)
+    made = ArmFace(Node(), lambda qos: qos, lambda: None, link, Shared(), Stamps(lambda: 0), lambda: 0, Awake())
     yield made
     made.close()
 

@@ -189,6 +189,19 @@ def test_a_goal_that_is_old_moves_nothing(scene: BridgeTrial) -> None:
     assert scene.state()["arm_pose"]["1"] == pytest.approx(at, abs=4)
 
 
+def test_a_request_that_may_have_waited_moves_no_arm(scene: BridgeTrial) -> None:
+    assert scene.eyes.call("arm/tuck")[0]
+    at = scene.trial.board.joints()
+    for service in ("arm/drive", "arm/tuck", "arm/release"):
+        done, text = scene.call_asleep(service)
+        assert not done
+        assert text.startswith("refused: it may have waited for ")
+    assert scene.trial.board.joints() == at
+    assert scene.call_asleep("arm/hold") == (True, "arm held")
+    assert scene.call_asleep("arm/read_state")[0]
+    assert scene.eyes.call("arm/drive") == (True, "arm is there")
+
+
 def test_without_control_msgs_the_log_and_the_diagnostics_say_so(scene: BridgeTrial) -> None:
     if scene.ros.real:
         pytest.skip("the stand-in alone can be without")

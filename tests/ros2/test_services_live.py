@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 from failstop.policy.settings import Settings
 from failstop.ros2.mirrors import TABLE, values
 from failstop_lab.trial import wait_for
@@ -40,6 +42,41 @@ def test_reset(scene: BridgeTrial) -> None:
         assert found[0] or found[1].startswith("refused: the stop is still being carried out (estop topic)")
     assert found == (True, "e-stop cleared (was: estop topic); motion still disabled")
     assert not scene.trial.robot.state.enabled
+
+
+def test_a_request_that_may_have_waited_neither_enables_nor_resets(scene: BridgeTrial) -> None:
+    """Its caller may have given up long ago, and a stop may have come since then."""
+    done, text = scene.call_asleep("enable", data=True)
+    assert not done
+    assert text.startswith("refused: it may have waited for ")
+    assert not scene.trial.robot.state.enabled
+    scene.trial.robot.estop("hand near wheel")
+    scene.state(lambda state: state["estop"])
+    done, text = scene.call_asleep("reset_estop")
+    assert not done
+    assert text.startswith("refused: it may have waited for ")
+    assert scene.trial.robot.state.estop
+    wait_for("a reset that is asked for again", lambda: scene.eyes.call("reset_estop")[0])
+    scene.enable()
+
+
+def test_a_reset_does_not_clear_a_stop_that_came_while_it_waited(scene: BridgeTrial) -> None:
+    """This is true of a short pause too, after which other requests are carried out."""
+    stop = threading.Timer(0.1, scene.trial.robot.estop, ("hand near wheel",))
+    stop.start()
+    done, text = scene.call_asleep("reset_estop", for_s=0.4)
+    stop.join()
+    assert not done, text
+    assert text.startswith("refused: ")
+    assert scene.trial.robot.state.estop
+
+
+def test_a_request_that_may_have_waited_still_disables_and_stops(scene: BridgeTrial) -> None:
+    scene.enable()
+    assert scene.call_asleep("enable", data=False) == (True, "disabled")
+    assert not scene.trial.robot.state.enabled
+    assert scene.call_asleep("stop")[0]
+    assert scene.trial.robot.state.estop
 
 
 def test_stop_tells_its_three_levels(scene: BridgeTrial) -> None:
