@@ -58,6 +58,41 @@ def test_a_stop_is_not_written_to_a_file_that_got_the_pipe_s_number(
     assert own.read_bytes() == b"mine" * 100
 
 
+def test_a_pipe_that_gets_the_number_of_the_stop_pipe_is_left_alone(fresh: Trial, driver: Driver) -> None:
+    """A stop in it would reach nobody, and a new connection must not put the service's pipe in its place."""
+    driver.connect(fresh.name)
+    assert driver.do("pipes-instead") == OK
+    assert driver.do("stop it still works") == OK
+    wait_for("the stop to be latched", lambda: fresh.robot.state.cause)
+    fresh.leave()
+    fresh.service.end()
+    assert driver.do("stop nobody listens") == NO_SERVICE
+    assert driver.do("in-pipes") == 0
+    fresh.service.start()
+    assert driver.do("connect") == OK
+    assert driver.do("in-pipes") == 0
+    assert driver.do("stop again") == OK
+
+
+def test_a_program_that_closed_its_descriptors_keeps_the_files_that_it_opens_then(
+    trial: Trial, driver: Driver, tmp_path: Path
+) -> None:
+    """A daemon does so: neither a new connection, nor a child, nor the end of the handle closes its files."""
+    own = tmp_path / "own"
+    own.write_bytes(b"mine" * 100)
+    for end in ("connect", "fork-and-look", "close"):
+        driver.connect(trial.name)
+        assert driver.do("drive 0 0 0") == OK
+        assert driver.do(f"close-all-for {own}") == OK
+        before = own_numbers(driver, own)
+        assert driver.do("drive 0 0 0") == NO_SERVICE
+        assert driver.do(end) == OK
+        assert own_numbers(driver, own) == before, end
+        driver.do("close")
+        assert own_numbers(driver, own) == before, end
+    assert own.read_bytes() == b"mine" * 100
+
+
 def own_numbers(driver: Driver, path: Path) -> list[int]:
     folder = f"/proc/{driver.pid}/fd"
     return sorted(int(fd) for fd in os.listdir(folder) if os.readlink(f"{folder}/{fd}") == str(path))

@@ -20,8 +20,8 @@
  * fs_close() and fs_abandon() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
  *
  * Descriptors: a handle holds a few file descriptors, which are closed on exec. If your program closes them itself, for
- * example with closefrom(), every call returns FS_NO_SERVICE, but fs_stop() still works, and failstop never writes to a
- * file that gets one of their numbers later.
+ * example with closefrom(), every call returns FS_NO_SERVICE, but fs_stop() still works, and failstop neither writes to nor
+ * closes a file or pipe of your program that gets one of their numbers later.
  */
 #ifndef FAILSTOP_H
 #define FAILSTOP_H

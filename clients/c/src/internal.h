@@ -97,6 +97,19 @@ struct fsi_places {
   char name[FSI_NAME];
 };
 
+/* A descriptor that the library keeps, and the file that it has opened. A program may close descriptors that are not its
+ * own, for example with closefrom(), and then another file of the program gets the number. -1: none. */
+struct fsi_owned {
+  _Atomic int fd;
+  _Atomic uint64_t device, file, kind;
+};
+FSI void fsi_own(struct fsi_owned *owned, int fd);
+/* Whether the descriptor `fd` still is the file that was opened as `owned`. Safe in a signal handler. */
+FSI bool fsi_still(int fd, const struct fsi_owned *owned);
+FSI bool fsi_owns(const struct fsi_owned *owned);
+/* Close it, unless its number is another file's by now. */
+FSI void fsi_disown(struct fsi_owned *owned);
+
 /* Why a file was refused: 0, or an errno, or one of these with the user. */
 enum { FSI_FOREIGN = 10000, FSI_OPEN_TO_OTHERS, FSI_LINK, FSI_OTHER_OWNER, FSI_OTHER_KIND };
 struct fsi_refusal {
@@ -204,8 +217,8 @@ struct fsi_run {
   uint64_t incarnation;
   uid_t owner;
   char memory[FSI_NAME + 20];
-  int which; /* of the places */
-  int life;  /* whose lock says whether it still runs */
+  int which;             /* of the places */
+  struct fsi_owned life; /* whose lock says whether it still runs */
   struct fsi_segment supervisor, gate, telemetry, port_owner;
   struct fsi_reader latch, link, state, imu, wheels_seen, battery, odometry, port;
   struct fsi_reader reply[CLIENT_SLOTS];
@@ -233,14 +246,15 @@ struct fs_robot {
   struct fs_robot *next; /* of all handles of this process */
   struct fsi_places places;
   char client[WHO_BYTES + 1];
-  int stop_fd; /* kept for a program that has no descriptor left */
+  /* Kept for a program that has no descriptor left. The second is only there while it replaces the first. */
+  struct fsi_owned stop, newer_stop;
 
   struct fsi_run *run;
   int unattached; /* without a run: why */
 
   /* The slot; -1: none. */
   int slot;
-  int claims, bell, segment;
+  struct fsi_owned claims, bell, segment;
   uint64_t session;
   struct fsi_life *life;
   struct fsi_writer left, hello, command, sensed, interlocks, request, seen, said;
@@ -264,9 +278,6 @@ struct fs_robot {
 FSI uint64_t fsi_now_ns(void);
 /* Write what may be about a dead service's pipe without a SIGPIPE. 0, or an errno. Safe in a signal handler. */
 FSI int fsi_send(int fd, const void *data, size_t size);
-/* False for the number of another file, in a program that has closed descriptors which are not its own. Safe in a signal
- * handler. */
-FSI bool fsi_is_pipe(int fd);
 FSI bool fsi_over(const struct fsi_run *run);
 FSI bool fsi_held(int fd, off_t byte, bool by_writer);
 /* Why there is no such service, with the command that starts it. */

@@ -22,7 +22,7 @@
 struct fsi_life {
   pthread_t thread;
   sem_t held, end;
-  int fd;
+  struct fsi_owned file;
   off_t at;
   uint8_t *page;
   size_t page_bytes;
@@ -45,7 +45,7 @@ static void *live(void *given) {
   bool listed = known && syscall(SYS_set_robust_list, &head, sizeof head) == 0;
   if (listed) {
     uint32_t holder = (uint32_t)syscall(SYS_gettid) | FUTEX_WAITERS;
-    listed = pwrite(life->fd, &holder, sizeof holder, life->at) == (ssize_t)sizeof holder;
+    listed = pwrite(life->file.fd, &holder, sizeof holder, life->at) == (ssize_t)sizeof holder;
   }
   sem_post(&life->held);
   while (sem_wait(&life->end) && errno == EINTR) continue;
@@ -65,8 +65,8 @@ struct fsi_life *fsi_hold(int fd, off_t at) {
   life->page = page;
   life->word = life->page + (at - start);
   /* A descriptor of its own: the number of the caller's may soon name another file. */
-  life->fd = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
-  if (life->fd < 0) goto no_descriptor;
+  fsi_own(&life->file, fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1));
+  if (life->file.fd < 0) goto no_descriptor;
   sem_init(&life->held, 0, 0);
   sem_init(&life->end, 0, 0);
 
@@ -89,7 +89,7 @@ struct fsi_life *fsi_hold(int fd, off_t at) {
 no_thread:
   sem_destroy(&life->held);
   sem_destroy(&life->end);
-  close(life->fd);
+  fsi_disown(&life->file);
 no_descriptor:
   munmap(life->page, life->page_bytes);
 no_page:
@@ -105,9 +105,7 @@ void fsi_let_go(struct fsi_life *life) {
 }
 
 void fsi_in_child(struct fsi_life *life) {
-  if (!life || life->fd < 0) return;
-  close(life->fd);
-  life->fd = -1;
+  if (life) fsi_disown(&life->file);
 }
 
 void fsi_forget(struct fsi_life *life) {

@@ -10,6 +10,28 @@
 
 #define BY_OTHERS (S_IWGRP | S_IWOTH)
 
+void fsi_own(struct fsi_owned *owned, int fd) {
+  struct stat found = {0};
+  if (fd >= 0) fstat(fd, &found);
+  atomic_store(&owned->device, (uint64_t)found.st_dev);
+  atomic_store(&owned->file, (uint64_t)found.st_ino);
+  atomic_store(&owned->kind, (uint64_t)(found.st_mode & S_IFMT));
+  atomic_store(&owned->fd, fd);
+}
+
+bool fsi_still(int fd, const struct fsi_owned *owned) {
+  struct stat found;
+  return fd >= 0 && fstat(fd, &found) == 0 && (uint64_t)found.st_dev == atomic_load(&owned->device) &&
+         (uint64_t)found.st_ino == atomic_load(&owned->file) && (found.st_mode & S_IFMT) == atomic_load(&owned->kind);
+}
+
+bool fsi_owns(const struct fsi_owned *owned) { return fsi_still(atomic_load(&owned->fd), owned); }
+
+void fsi_disown(struct fsi_owned *owned) {
+  if (fsi_owns(owned)) close(atomic_load(&owned->fd));
+  fsi_own(owned, -1);
+}
+
 static bool is_name(const char *name) {
   size_t size = strlen(name);
   return size > 0 && size < FSI_NAME && strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_-") == size;

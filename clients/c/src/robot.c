@@ -40,16 +40,18 @@ static void end_slot(int cancels) {
   pthread_setcancelstate(cancels, NULL);
 }
 
+static void disown_slot(fs_robot *robot) {
+  fsi_disown(&robot->claims);
+  fsi_disown(&robot->bell);
+  fsi_disown(&robot->segment);
+}
+
 /* In the child: the slot is the parent's, and the child must not hold it when the parent has died. */
 static void in_child(void) {
   for (fs_robot *robot = handles; robot; robot = robot->next) {
     atomic_store(&robot->forked, true);
     fsi_in_child(robot->life);
-    int *each[] = {&robot->claims, &robot->bell, &robot->segment};
-    for (size_t at = 0; at < sizeof each / sizeof *each; at++) {
-      if (*each[at] >= 0) close(*each[at]);
-      *each[at] = -1;
-    }
+    disown_slot(robot);
   }
   pthread_mutex_unlock(&handles_lock);
 }
@@ -98,7 +100,7 @@ bool fsi_is_forked(const fs_robot *robot) {
 static void writer(fs_robot *robot, struct fsi_writer *writer, const char *record, size_t at, size_t capacity) {
   char name[48];
   snprintf(name, sizeof name, "client.%d.%s", robot->slot, record);
-  *writer = (struct fsi_writer){robot->segment, (off_t)at, capacity, fsi_seed(name, robot->run->incarnation), 0};
+  *writer = (struct fsi_writer){robot->segment.fd, (off_t)at, capacity, fsi_seed(name, robot->run->incarnation), 0};
 }
 
 /* Empty the slot, except for the goodbyes: a goodbye that the gate has not seen would look like a death. */
@@ -128,7 +130,7 @@ static int claim(int fd, int slot, bool take) {
 
 static void ring_slot(const fs_robot *robot, int *error) {
   uint8_t byte = (uint8_t)robot->slot;
-  *error = fsi_send(robot->bell, &byte, 1);
+  *error = fsi_send(robot->bell.fd, &byte, 1);
 }
 
 static void say_goodbye(fs_robot *robot) {
@@ -136,7 +138,7 @@ static void say_goodbye(fs_robot *robot) {
   struct fsi_entry before;
   memcpy(goodbyes, &robot->session, sizeof robot->session);
   robot->left.seq = 0;
-  if (pread(robot->segment, raw, sizeof raw, AT_CLIENT_LEFT) == (ssize_t)sizeof raw &&
+  if (pread(robot->segment.fd, raw, sizeof raw, AT_CLIENT_LEFT) == (ssize_t)sizeof raw &&
       fsi_newest(raw, sizeof raw / 2, robot->left.seed, &before)) {
     robot->left.seq = before.seq;
     if (before.size == sizeof goodbyes) memcpy(goodbyes + 8, before.data, sizeof goodbyes - 8);
@@ -148,16 +150,15 @@ static void say_goodbye(fs_robot *robot) {
 static void leave(fs_robot *robot, bool in_order) {
   if (robot->slot >= 0 && !fsi_is_forked(robot)) {
     int ignored;
-    /* Nobody reads the slot of a run that is over. It also looks so to a program that has closed descriptors which are
-     * not its own: then these numbers may be other files. */
+    /* Nobody reads the slot of a run that is over. It also looks so to a program that has closed the descriptors. */
     if (!fsi_over(robot->run)) {
       if (in_order) say_goodbye(robot);
-      wipe(robot->segment);
+      wipe(robot->segment.fd);
       ring_slot(robot, &ignored);
     }
     fsi_let_go(robot->life);
     /* A child that was forked by another library may still have a copy of this descriptor. */
-    claim(robot->claims, robot->slot, false);
+    if (fsi_owns(&robot->claims)) claim(robot->claims.fd, robot->slot, false);
   } else {
     fsi_forget(robot->life);
   }
@@ -165,11 +166,7 @@ static void leave(fs_robot *robot, bool in_order) {
   robot->slot = -1;
   atomic_store(&robot->source, -1);
   atomic_store(&robot->enabled, false);
-  int *each[] = {&robot->segment, &robot->bell, &robot->claims};
-  for (size_t at = 0; at < sizeof each / sizeof *each; at++) {
-    if (*each[at] >= 0) close(*each[at]);
-    *each[at] = -1;
-  }
+  disown_slot(robot);
 }
 
 static uint64_t pid_namespace(void) {
@@ -183,11 +180,11 @@ static int going_away(fs_robot *robot) {
   return fsi_fail_with(robot, FS_NO_SERVICE, why);
 }
 
-static int open_for_drivers(fs_robot *robot, const char *file, int flags, bool pipe, int *fd) {
+static int open_for_drivers(fs_robot *robot, const char *file, int flags, bool pipe, struct fsi_owned *opened) {
   struct fsi_refusal refusal;
   char why[400];
-  *fd = fsi_open_in(&robot->places, robot->run->which, file, flags, pipe, &refusal);
-  if (*fd >= 0) return FS_OK;
+  fsi_own(opened, fsi_open_in(&robot->places, robot->run->which, file, flags, pipe, &refusal));
+  if (opened->fd >= 0) return FS_OK;
   if (refusal.why == EACCES || refusal.why == EPERM) {
     snprintf(why, sizeof why, "this user may stop '%s' but not drive it: join the group `failstop`, or run as the service's user",
              robot->places.name);
@@ -203,7 +200,7 @@ static int take_slot(fs_robot *robot) {
   int damaged = 0;
   for (int slot = 0; slot < CLIENT_SLOTS; slot++) {
     uint64_t size;
-    if (claim(robot->claims, slot, true)) continue;
+    if (claim(robot->claims.fd, slot, true)) continue;
     snprintf(name, sizeof name, "client.%d", slot);
     int fd = fsi_open_segment(robot->run, name, true, why, sizeof why);
     int result = fd > 0 ? fsi_check_segment(fd - 1, name, robot->run->incarnation, &size, why, sizeof why) : fd;
@@ -214,11 +211,11 @@ static int take_slot(fs_robot *robot) {
     }
     if (result == FS_OK) {
       robot->slot = slot;
-      robot->segment = fd - 1;
+      fsi_own(&robot->segment, fd - 1);
       return FS_OK;
     }
     if (fd > 0) close(fd - 1);
-    claim(robot->claims, slot, false);
+    claim(robot->claims.fd, slot, false);
     if (result == FS_NO_PERMISSION || result == FS_SYSTEM || result == FS_OTHER_LAYOUT) return fsi_fail_with(robot, result, why);
     damaged++;
   }
@@ -256,12 +253,15 @@ static int attach_to(fs_robot *robot) {
     int code = refusal.why == EMFILE || refusal.why == ENFILE ? FS_SYSTEM : refusal.why == EACCES ? FS_NO_PERMISSION : FS_DAMAGED;
     return fsi_fail_with(robot, code, why);
   }
-  if (!fsi_is_pipe(robot->stop_fd)) {
-    robot->stop_fd = stop;
+  if (!fsi_owns(&robot->stop)) {
+    fsi_own(&robot->stop, stop);
   } else {
     /* The number stays, because a signal handler may be about to write to it. */
-    dup3(stop, robot->stop_fd, O_CLOEXEC);
-    close(stop);
+    int kept = robot->stop.fd;
+    fsi_own(&robot->newer_stop, stop);
+    dup3(stop, kept, O_CLOEXEC);
+    fsi_own(&robot->stop, kept);
+    fsi_disown(&robot->newer_stop);
   }
   int result = fsi_attach(&robot->run, &robot->places, which, why, sizeof why);
   return result == FS_OK ? FS_OK : fsi_fail_with(robot, result, why);
@@ -283,7 +283,9 @@ int fs_open(fs_robot **made, const char *service, const char *client) {
   robot->client[fsi_clean(robot->client, WHO_BYTES, name, &whole)] = 0;
   if (!*robot->client) memcpy(robot->client, "program", sizeof "program");
   robot->owner = getpid();
-  robot->slot = robot->claims = robot->bell = robot->segment = robot->stop_fd = -1;
+  robot->slot = -1;
+  struct fsi_owned *none[] = {&robot->claims, &robot->bell, &robot->segment, &robot->stop, &robot->newer_stop};
+  for (size_t at = 0; at < sizeof none / sizeof *none; at++) fsi_own(none[at], -1);
   atomic_init(&robot->source, -1);
   pthread_mutexattr_t inherits;
   pthread_mutexattr_init(&inherits);
@@ -313,7 +315,7 @@ static int connect_slot(fs_robot *robot) {
     if (getrandom(&robot->session, sizeof robot->session, 0) != (ssize_t)sizeof robot->session)
       robot->session = fsi_now_ns() ^ (uint64_t)robot->owner << 32;
     robot->session |= 1;
-    wipe(robot->segment);
+    wipe(robot->segment.fd);
     writer(robot, &robot->left, "left", AT_CLIENT_LEFT, CAP_CLIENT_LEFT);
     writer(robot, &robot->hello, "hello", AT_CLIENT_HELLO, CAP_CLIENT_HELLO);
     writer(robot, &robot->command, "command", AT_CLIENT_COMMAND, CAP_CLIENT_COMMAND);
@@ -324,7 +326,7 @@ static int connect_slot(fs_robot *robot) {
     writer(robot, &robot->said, "said", AT_CLIENT_SAID, CAP_CLIENT_SAID);
     robot->number = 0;
     robot->commanded_ns = 0;
-    robot->life = fsi_hold(robot->segment, AT_CLIENT_HELD);
+    robot->life = fsi_hold(robot->segment.fd, AT_CLIENT_HELD);
     if (greet(robot)) {
       leave(robot, true);
       return going_away(robot);
@@ -379,7 +381,7 @@ static void end(fs_robot *robot, bool in_order) {
   unlist(robot);
   end_slot(cancels);
   fsi_detach(robot->run);
-  if (robot->stop_fd >= 0) close(robot->stop_fd);
+  fsi_disown(&robot->stop);
   pthread_mutex_destroy(&robot->turn);
   pthread_mutex_destroy(&robot->writing);
   pthread_mutex_destroy(&robot->texts);

@@ -24,7 +24,7 @@ bool fsi_held(int fd, off_t byte, bool by_writer) {
   return fcntl(fd, F_OFD_GETLK, &lock) == 0 && lock.l_type != F_UNLCK;
 }
 
-bool fsi_over(const struct fsi_run *run) { return !fsi_held(run->life, 0, true); }
+bool fsi_over(const struct fsi_run *run) { return !fsi_owns(&run->life) || !fsi_held(run->life.fd, 0, true); }
 
 static void path_of(char *path, size_t size, const struct fsi_run *run, const char *name) {
   snprintf(path, size, "%s/failstop.%s.%s", TEXT_SHM, run->memory, name);
@@ -157,7 +157,7 @@ static bool read_rules(struct fsi_run *run) {
 static int attach_all(struct fsi_run *run, char *why, size_t room) {
   int fd = fsi_open_segment(run, TEXT_SUPERVISOR, false, why, room);
   if (fd <= 0) return fd;
-  run->life = fd - 1;
+  fsi_own(&run->life, fd - 1);
   const struct {
     const char *name;
     size_t least;
@@ -246,7 +246,7 @@ int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int whic
   run->incarnation = incarnation;
   run->owner = file.st_uid;
   run->which = which;
-  run->life = -1;
+  fsi_own(&run->life, -1);
   snprintf(run->memory, sizeof run->memory, "%s.%016llx", places->name, (unsigned long long)incarnation);
   int result = attach_all(run, why, room);
   if (result != FS_OK) {
@@ -262,7 +262,7 @@ void fsi_detach(struct fsi_run *run) {
   struct fsi_segment *each[] = {&run->supervisor, &run->gate, &run->telemetry, &run->port_owner};
   for (size_t at = 0; at < sizeof each / sizeof *each; at++)
     if (each[at]->map) munmap((void *)(uintptr_t)each[at]->map, each[at]->size);
-  if (run->life >= 0) close(run->life);
+  fsi_disown(&run->life);
   free(run->settings);
   free(run);
 }

@@ -4,7 +4,6 @@
 
 #include <errno.h>
 #include <signal.h>
-#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -47,12 +46,15 @@ size_t fsi_stop_line(char *out, const char *reason, const char *client, pid_t pi
   return size;
 }
 
-bool fsi_is_pipe(int fd) {
-  struct stat found;
-  return fd >= 0 && fstat(fd, &found) == 0 && S_ISFIFO(found.st_mode);
+/* The pipe that the handle keeps, or -1 if there is none: the program may have closed it, and have another file, or a pipe
+ * of its own, under the number. */
+static int kept(const fs_robot *robot) {
+  int fd = robot ? robot->stop.fd : -1;
+  return fd >= 0 && (fsi_still(fd, &robot->stop) || fsi_still(fd, &robot->newer_stop)) ? fd : -1;
 }
 
-static int send_line(const struct fsi_places *places, int kept, const char *client, const char *reason) {
+/* `robot`: the handle, or NULL. */
+static int send_line(const struct fsi_places *places, const fs_robot *robot, const char *client, const char *reason) {
   char line[FSI_STOP_LINE];
   struct fsi_refusal refusal;
   int which, result = FS_NO_SERVICE, cancels;
@@ -64,7 +66,7 @@ static int send_line(const struct fsi_places *places, int kept, const char *clie
   if (fd >= 0) {
     if (!fsi_send(fd, line, size)) result = FS_OK;
     close(fd);
-  } else if (fsi_is_pipe(kept) && !fsi_send(kept, line, size)) {
+  } else if ((fd = kept(robot)) >= 0 && !fsi_send(fd, line, size)) {
     result = FS_OK;
   } else if (refusal.why == EMFILE || refusal.why == ENFILE) {
     result = FS_SYSTEM;
@@ -76,7 +78,7 @@ static int send_line(const struct fsi_places *places, int kept, const char *clie
 int fs_stop(const fs_robot *robot, const char *reason) {
   if (!robot) return FS_INVALID;
   int before = errno; /* of the code that a signal handler has interrupted */
-  int result = send_line(&robot->places, robot->stop_fd, robot->client, reason);
+  int result = send_line(&robot->places, robot, robot->client, reason);
   errno = before;
   return result == FS_OK ? FS_OK : fsi_fail(robot, result);
 }
@@ -88,5 +90,5 @@ int fs_stop_service(const char *service, const char *client, const char *reason)
   int result = fsi_places(&places, service ? service : TEXT_DEFAULT_NAME);
   if (result != FS_OK) return result;
   who[fsi_clean(who, WHO_BYTES, client ? client : program_invocation_short_name, &whole)] = 0;
-  return send_line(&places, -1, *who ? who : "program", reason);
+  return send_line(&places, NULL, *who ? who : "program", reason);
 }

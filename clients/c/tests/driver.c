@@ -8,8 +8,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -89,6 +91,38 @@ static int close_all_for(const char *path) {
   int last = -1;
   while (last < 40 && (last = open(path, O_RDWR)) >= 0) continue;
   return last < 0;
+}
+
+/* 0 if a child has all files of close_all_for(). */
+static int fork_and_look(void) {
+  int status;
+  pid_t child = fork();
+  if (child == 0) {
+    int closed = 0;
+    for (int fd = 3; fd <= 40; fd++) closed += fcntl(fd, F_GETFD) < 0;
+    _exit(closed);
+  }
+  return waitpid(child, &status, 0) == child && WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+static int close_all_for_pipes(void) {
+  int ends[2] = {-1, -1};
+  for (int fd = 3; fd < 64; fd++) close(fd);
+  while (ends[1] < 40)
+    if (pipe(ends)) return 1;
+  return 0;
+}
+
+/* The bytes that are in the pipes of close_all_for_pipes(), or -1 if a number is no longer one of their ends. */
+static int in_pipes(void) {
+  int bytes = 0;
+  for (int fd = 3; fd < 40; fd += 2) {
+    int waiting;
+    struct stat in, out;
+    if (fstat(fd, &in) || fstat(fd + 1, &out) || in.st_ino != out.st_ino || ioctl(fd, FIONREAD, &waiting)) return -1;
+    bytes += waiting;
+  }
+  return bytes;
 }
 
 static void *stop_cancelled(void *given) {
@@ -264,6 +298,12 @@ int main(int count, char **words) {
       printf("%d\n", fork_meanwhile(number));
     } else if (sscanf(line, "close-all-for %399s", text) == 1) {
       printf("%d\n", close_all_for(text));
+    } else if (!strcmp(line, "fork-and-look")) {
+      printf("%d\n", fork_and_look());
+    } else if (!strcmp(line, "pipes-instead")) {
+      printf("%d\n", close_all_for_pipes());
+    } else if (!strcmp(line, "in-pipes")) {
+      printf("%d\n", in_pipes());
     } else if (!strcmp(line, "stop-cancelled")) {
       pthread_t thread;
       number = 1;
