@@ -11,7 +11,6 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.api.snapshot import Imu
 from failstop.api.state import State
-from failstop.messages import layout
 
 KEPT = 256
 CHECK_S = 0.5
@@ -44,7 +43,7 @@ class Follower:
         self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
-        self._pid = 0
+        self._run = ""
 
     def read(self, now_s: float) -> State | None:
         """The service's state. None if it can't be read; `note` then says why. `now_s`: time.monotonic()."""
@@ -53,8 +52,8 @@ class Follower:
                 self._check_s = now_s + CHECK_S
                 self._listen()
             state = self._robot.state
-            if self._pid != (pid := state.processes[layout.SUPERVISOR].pid):
-                self._pid = pid
+            if self._run != state.run:
+                self._run = state.run
                 self._listen()  # another run: the events of the last one would belie its state
             return state
         except FailstopError as error:

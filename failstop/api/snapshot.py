@@ -542,6 +542,9 @@ class State:
     """The ages of the newest readings."""
     battery_ns: int = 0
     """When `battery_v` was read (CLOCK_MONOTONIC, ns); 0 if it was never read."""
+    run: str = ""
+    """The run of the service. After a restart of the service it is another text, even in a container, where the pids
+    are the same as before."""
 
     @property
     def block(self) -> Block | None:

@@ -234,6 +234,7 @@ class StateReader(SeenRun):
             servos_wrong=servos.servo_faults(rows, self._declared) if rows else {},
             ages=ages,
             battery_ns=battery_ns,
+            run=self.found[0].rpartition(".")[2],
         )
 
     def _ages(self, now_ns: int) -> tuple[snapshot.Ages, int]:

@@ -39,7 +39,7 @@ class Bridge:
         self._links = (RobotLink(name), RobotLink(name))
         self._shown: dict[str, mirrors.ParameterValue] = {}
         self._given: dict[str, object] = {}
-        self._mirrored = 0
+        self._mirrored = ""
         self._own = False
         own = self._declare()
         self._inward = Inward(self._node, _profile, ReentrantCallbackGroup, self._links[1], self._shared, own)

@@ -18,7 +18,6 @@ from typing import NamedTuple
 from failstop.api.state import State
 from failstop.policy import causes
 from failstop.policy.causes import NOT_KNOWN, Kind
-from failstop.ros2.shared import run_of
 
 FRESH_NS = 100_000_000
 """How long a look at the graph, or a message of a sensor, stays valid."""
@@ -122,20 +121,20 @@ class Owed:
         self._asked_ns: int | None = None
         """When the stop was requested last. None if no stop is owed."""
         self._sent = False
-        self._run = self._epoch = 0
+        self._run, self._epoch = "", 0
 
     def asked(self, state: State | None, now_ns: int, *, sent: bool) -> None:
         """Note that the stop was requested. `state`: the last state before the request. `sent`: False if there was no
         service to stop."""
         self._asked_ns, self._sent = now_ns, sent
-        self._run, self._epoch = (run_of(state), state.epoch) if state else (0, 0)
+        self._run, self._epoch = (state.run, state.epoch) if state else ("", 0)
 
     def due(self, state: State | None, now_ns: int) -> bool:
         """True if the stop must be requested again now. `state`: the present state."""
         if self._asked_ns is None or state is None:
             return False
         # In the same run, a stop may be latched already, and a person may have reset it again, so only the epoch tells.
-        heard = state.epoch > self._epoch if run_of(state) == self._run else state.estop is not None
+        heard = state.epoch > self._epoch if state.run == self._run else state.estop is not None
         if self._sent and heard:
             self._asked_ns = None
             return False

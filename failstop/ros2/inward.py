@@ -72,7 +72,7 @@ class Inward:
         """The epoch of the service's state at the last turn before the present pause."""
         self._scan = ScanWatch(0.5)
         self._timeout_s = 0.3
-        self._run = 0
+        self._run = ""
         self._asserts = False
         """True if the settings declare the bridge's interlock."""
         self._moving_ns = -STOP_NS

@@ -153,7 +153,7 @@ class Wheels:
         self._velocity_radps: list[float] = []
         self._begun_rad: list[float] = []
         """The positions when the present run of the service began. The service counts from zero in each run."""
-        self._run = 0
+        self._run = ""
         self._measured = False
         self._ns = 0
 
@@ -163,7 +163,7 @@ class Wheels:
         now_ns: int,
         steering_rad: float | None = None,
         turning: snapshot.Turning | None = None,
-        run: int = 0,
+        run: str = "",
     ) -> None:
         """Note the present speeds. `wheels_radps`: State.wheels_radps, or None without a service. Without a service, a
         commanded speed is zero, and a measured speed is NaN. `steering_rad`: State.steering_rad; None keeps the angle.

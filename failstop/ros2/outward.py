@@ -23,7 +23,7 @@ from failstop.ros2.graph import Graph
 from failstop.ros2.link import RobotLink
 from failstop.ros2.pose import Pose
 from failstop.ros2.scan import ScanLog
-from failstop.ros2.shared import Shared, run_of
+from failstop.ros2.shared import Shared
 from failstop.ros2.stencil import Stencil, serializer
 
 PERIOD_S = 0.018
@@ -217,9 +217,9 @@ class Outward:
     def _state(self) -> State | None:
         try:
             state = self._link.state()
-            if (run := run_of(state)) != self._shared.run:
+            if state.run != self._shared.run:
                 self._shared.settings = self._link.call(lambda robot: robot.settings)
-                self._shared.run = run
+                self._shared.run = state.run
             self._shared.state = state
             return state
         except FailstopError as error:

@@ -6,13 +6,7 @@ import dataclasses
 
 from failstop.api.errors import FailstopError
 from failstop.api.state import State
-from failstop.messages.layout import SUPERVISOR
 from failstop.ros2.mirrors import RobotSettings
-
-
-def run_of(state: State) -> int:
-    """The pid of the supervisor, which identifies the run of the service."""
-    return state.processes[SUPERVISOR].pid
 
 
 @dataclasses.dataclass
@@ -25,8 +19,8 @@ class Shared:
     """Why there is no state."""
     settings: RobotSettings | None = None
     """The settings of the present run. None if they are not known yet."""
-    run: int = 0
-    """run_of() the present run. 0 before the first run."""
+    run: str = ""
+    """The present run of the service (State.run). Empty before the first run."""
     publishers: tuple[str, ...] = ()
     sees: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()

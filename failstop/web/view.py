@@ -12,7 +12,6 @@ from failstop.api import distance, steps, verdict, wheels, words
 from failstop.api.snapshot import Block
 from failstop.api.steps import Purpose
 from failstop.api.why import FORGOTTEN, HOLDS, UNTIMED, meaning, since, troubles
-from failstop.messages import layout
 from failstop.policy import proofs
 
 TYPE_CHECKING = False
@@ -45,7 +44,7 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "why": _why(state),
         "since": since(state, events, now_s)[0],
         "epoch": state.epoch,
-        "run": state.processes[layout.SUPERVISOR].pid,
+        "run": state.run,
         "next": steps.pressed(state, steps.HERE, events),
         "next_driver": steps.pressed(state, steps.BY_STICK, events),
         "next_unpaired": steps.pressed(state, steps.ELSEWHERE, events),
@@ -97,7 +96,7 @@ def absent(note: str, *, gone: bool = True) -> dict[str, Any]:
         "why": words.sentence(note),
         "since": None,
         "epoch": 0,
-        "run": 0,
+        "run": "",
         **dict.fromkeys(("next", "next_driver", "next_unpaired"), step.pressed),
         "latched": False,
         "enabled": False,

@@ -292,28 +292,27 @@ def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
 
 
 def test_a_stop_is_owed_until_a_run_has_heard_it() -> None:
-    def state(pid: int, epoch: int, state: State) -> State:
-        processes = {"supervisor": states.process(pid=pid)}
-        return dataclasses.replace(state, epoch=epoch, processes=processes)
+    def state(run: str, epoch: int, state: State) -> State:
+        return dataclasses.replace(state, epoch=epoch, run=run)
 
     free, latched = states.state(), states.latched(causes.KEY(1))
     again_ns = S + STOP_AGAIN_NS
     owed = Owed()
-    assert not owed.due(state(7, 3, free), S), "nothing was requested"
+    assert not owed.due(state("a", 3, free), S), "nothing was requested"
     # One that is latched already, or whose supervisor has died, is no proof.
     for before in (free, latched):
-        owed.asked(state(7, 3, before), S, sent=True)
-        assert not owed.due(state(7, 3, before), again_ns - 1)
+        owed.asked(state("a", 3, before), S, sent=True)
+        assert not owed.due(state("a", 3, before), again_ns - 1)
         assert not owed.due(None, again_ns), "no service runs"
-        assert owed.due(state(7, 3, latched), again_ns)
-        assert owed.due(state(8, 1, free), again_ns), "a new run begins without it"
-        assert not owed.due(state(7, 4, free), again_ns), "heard, and reset meanwhile"
-        assert not owed.due(state(8, 1, free), 2 * again_ns)
+        assert owed.due(state("a", 3, latched), again_ns)
+        assert owed.due(state("b", 1, free), again_ns), "a new run begins without it"
+        assert not owed.due(state("a", 4, free), again_ns), "heard, and reset meanwhile"
+        assert not owed.due(state("b", 1, free), 2 * again_ns)
     owed.asked(None, S, sent=True)
-    assert owed.due(state(7, 0, free), again_ns)
-    assert not owed.due(state(7, 1, latched), again_ns)
-    owed.asked(state(7, 3, free), S, sent=False)
-    assert owed.due(state(7, 4, latched), again_ns), "that was another stop"
+    assert owed.due(state("a", 0, free), again_ns)
+    assert not owed.due(state("a", 1, latched), again_ns)
+    owed.asked(state("a", 3, free), S, sent=False)
+    assert owed.due(state("a", 4, latched), again_ns), "that was another stop"
 
 
 class CountingHandle:

@@ -167,19 +167,19 @@ def test_wheels_turn_as_far_as_they_are_measured_to() -> None:
 def test_measured_wheels_go_on_where_they_were_when_the_service_is_restarted() -> None:
     wheels, told = messages.Wheels(), snapshot.Wheels((0.0, 0.0))
 
-    def position(run: int, *turned_rad: float) -> list[float]:
+    def position(run: str, *turned_rad: float) -> list[float]:
         turned = snapshot.Wheels(turned_rad) if turned_rad else None
         seen = snapshot.Turning("still", "wheels", age_s=0.02, speeds_radps=turned and told, turned_rad=turned)
         wheels.update(told, S, turning=seen, run=run)
         return list(wheels.fields(S)[1][1])
 
-    assert position(7, 100.0, 50.0) == [100.0, 50.0], "the bridge began later than the service"
+    assert position("a", 100.0, 50.0) == [100.0, 50.0], "the bridge began later than the service"
     wheels.update(None, S)
-    assert position(8) == [100.0, 50.0], "no report yet"
-    assert position(8, 0.0, 0.0) == [100.0, 50.0]
-    assert position(8, 1.0, -2.0) == [101.0, 48.0]
-    assert position(9, 0.5, 0.0) == [101.5, 48.0], "a restart that nobody saw"
-    assert position(9, 0.25, 1.0) == [101.25, 49.0]
+    assert position("b") == [100.0, 50.0], "no report yet"
+    assert position("b", 0.0, 0.0) == [100.0, 50.0]
+    assert position("b", 1.0, -2.0) == [101.0, 48.0]
+    assert position("c", 0.5, 0.0) == [101.5, 48.0], "a restart that nobody saw"
+    assert position("c", 0.25, 1.0) == [101.25, 49.0]
 
 
 def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:

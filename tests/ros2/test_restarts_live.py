@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import shutil
+import subprocess
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from failstop.api.errors import NoService
+from failstop.api.errors import FailstopError, NoService
 from failstop.ros2.report import without_state
-from failstop_lab.trial import wait_for
+from failstop_lab.trial import Service, wait_for
 from tests.ros2.scene import BOOL, NODE, BridgeTrial
+from tests.support.leases import LEASES, TIMEOUT_S
 
 SETTINGS = 'scan.gate = "off"\n'
 BRIDGE = ("--ros-args", "-p", "publish_tf:=true")
@@ -90,3 +95,43 @@ def test_the_pose_goes_on_where_it_was(scene: BridgeTrial) -> None:
     assert transform["transform"]["translation"]["x"] == pytest.approx(stood_m)
     scene.drive()
     scene.eyes.next("wheel/odom", lambda message: x_m(message) > stood_m + 0.1)
+
+
+@pytest.mark.skipif(shutil.which("unshare") is None, reason="needs unshare")
+def test_a_service_that_was_restarted_in_a_container_is_another_run(scene: BridgeTrial, tmp_path: Path) -> None:
+    """Its supervisor always has the same pid there."""
+    container = ("unshare", "--pid", "--fork", "--kill-child", "--mount-proc")
+    if subprocess.run((*container, "true"), capture_output=True, check=False).returncode:
+        pytest.skip("this user may not make a pid namespace")
+    trial, file = scene.trial, tmp_path / "settings.toml"
+
+    def is_ready() -> bool:
+        try:
+            return trial.robot.state.waiting_for is None
+        except FailstopError:
+            return False
+
+    def has_timeout(timeout_s: float) -> bool:
+        [value] = scene.eyes.ask("get_parameters", node=NODE, names=["cmd_timeout"])["values"]
+        return bool(value["double_value"] == timeout_s)
+
+    trial.leave()
+    trial.service.end()
+    service = Service(trial.name, trial.link, trial.state, ("--config", str(file)))
+    service.become(*container)
+    try:
+        for timeout_s, interlock in ((TIMEOUT_S, ""), (TIMEOUT_S + 0.25, "[interlocks.ros2]\ntimeout_s = 1.0\n")):
+            leases = LEASES.replace(str(TIMEOUT_S), str(timeout_s))
+            file.write_text(f"{leases}{SETTINGS}{interlock}")
+            service.exec()
+            wait_for("the service", is_ready)
+            assert trial.robot.state.processes["supervisor"].pid == 1
+            scene.enable()
+            wait_for("the new settings", partial(has_timeout, timeout_s))
+            trial.leave()
+            service.kill()
+            scene.state(lambda state: state["state_age_ms"] is None)
+    finally:
+        service.kill()
+        service.close()
+        trial.service.start()

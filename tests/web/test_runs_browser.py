@@ -59,13 +59,13 @@ def test_an_incident_of_the_next_run_is_looked_for_though_its_event_has_the_same
         tab.until("document.getElementById('shake').textContent === 'not known'")
         view = page.get("/api/state")["view"]
 
-        def heard(run: int, number: int, t: float) -> None:
+        def heard(run: str, number: int, t: float) -> None:
             event = {"seq": number, "t": t, "kind": "incident", "level": "info", "text": "saved"}
             found = json.dumps({**view, "run": run, "events": [event]})
             tab.run(f"dispatchEvent(new CustomEvent('view', {{detail: {found}}}))")
 
         before = tab.run("asked")
-        for count, (run, number, t) in enumerate(((1, 5, 1.0), (1, 6, 2.0), (2, 6, 2.0), (2, 6, 3.0)), 1):
+        for count, (run, number, t) in enumerate((("a", 5, 1.0), ("a", 6, 2.0), ("b", 6, 2.0), ("b", 6, 3.0)), 1):
             heard(run, number, t)
             heard(run, number, t)
             tab.until(f"asked >= {before + count}")

@@ -274,6 +274,11 @@ def test_what_is_known_of_the_board_is_in_words(device: Device, says: str) -> No
     assert shown(states.state(device=device))["board"] == says
 
 
+def test_a_run_is_not_known_by_its_pids() -> None:
+    """In a container they are the same in each run."""
+    assert shown(states.state(run="a"))["run"] != shown(states.state(run="b"))["run"]
+
+
 def test_without_a_service() -> None:
     found = view.absent("no service named 'left' is running")
     assert found.keys() == shown(states.state()).keys()
