@@ -49,3 +49,10 @@ def driver() -> Iterator[Driver]:
     """A C client that is not connected yet."""
     with Driver() as started:
         yield started
+
+
+@pytest.fixture
+def other() -> Iterator[Driver]:
+    """Another C client that is not connected yet."""
+    with Driver() as started:
+        yield started

@@ -10,7 +10,7 @@ OK = 0
 NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED = -1, -2, -3, -4, -5
 REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED, DAMAGED, SYSTEM = -6, -7, -8, -9, -10, -11, -12
 DISABLED, HELD, NO_COMMAND = 2, 3, 4
-DRIVING, BLOCKED = 1, 3
+DRIVING, PREEMPTED, BLOCKED = 1, 2, 3
 LATE_NS = 250_000_000
 """Less than the 0.3 s after which a silent client's command would have stopped the wheels anyway."""
 

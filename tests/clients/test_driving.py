@@ -27,12 +27,14 @@ from tests.clients.scene import (
     HELD,
     INVALID,
     NO_ANSWER,
+    NO_COMMAND,
     NO_PERMISSION,
     NO_SERVICE,
     NO_SLOT,
     NOT_CONNECTED,
     OK,
     OTHER_LAYOUT,
+    PREEMPTED,
     REFUSED,
     UNDECLARED,
     set_off,
@@ -62,6 +64,27 @@ def test_a_program_drives_and_its_end_stops_the_wheels(trial: Trial, driver: Dri
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
     state = trial.robot.state
     assert (state.enabled, state.cause) == (True, None), "it said goodbye, and somebody else had enabled motion"
+
+
+def test_a_silent_program_does_not_drive_as_long_as_another_one_does(
+    trial: Trial, driver: Driver, other: Driver
+) -> None:
+    """Both use the same source, whose command is then the other program's."""
+    driver.connect(trial.name)
+    other.connect(trial.name)
+    assert driver.do("drive 0 0 0") == OK
+    trial.robot.enable()
+    wait_for("the wheels to turn", lambda: driver.do("for 0.05 0.2") or trial.turning())
+    assert driver.do("drive 0 0 0") == OK
+    wait_for("it to be too old", lambda: driver.state()["answer"] == BLOCKED)
+    assert driver.state()["answer_block"] == NO_COMMAND
+    assert driver.text("why") == "no program sends commands"
+    other.tell("for 1.5 -0.1")
+    wait_for("the other one to drive", lambda: driver.state()["answer"] == PREEMPTED)
+    assert driver.text("why") == f"driver.c (pid {other.pid}) drives, and this program sends no commands"
+    assert other.answer()
+    wait_for("the other one to be silent", lambda: driver.state()["answer"] == BLOCKED)
+    assert driver.state()["answer_block"] == NO_COMMAND
 
 
 @pytest.mark.parametrize(("keep", "enabled"), [(False, False), (True, True)])

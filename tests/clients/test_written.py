@@ -294,6 +294,7 @@ def test_a_state_is_the_one_that_python_shows(made: OwnRun) -> None:
     assert made.c.fs_drive(made.handle, 0.0, 0.0, 0.0) == OK, "it has a source now, about which there is an answer"
     state, compared = State(size=ctypes.sizeof(State)), set()
     for draw in drawn(STATES):
+        assert made.c.fs_drive(made.handle, 0.0, 0.0, 0.0) == OK, "the last command must not be too old"
         publish(made, draw)
         assert made.c.fs_get_state(made.handle, ctypes.byref(state)) == OK
         wanted = by_python(made)

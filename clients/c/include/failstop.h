@@ -98,7 +98,8 @@ typedef enum fs_answer {
   FS_ANSWER_NONE = 0,
   /** This command moves the wheels. */
   FS_DRIVING = 1,
-  /** A source of higher priority drives, so this command moves nothing now. It is not queued: go on commanding. */
+  /** Another program drives, so this command moves nothing now: its source has a higher priority, or this command is older
+   * than its timeout. It is not queued: go on commanding. */
   FS_PREEMPTED = 2,
   /** Nothing moves: `fs_state.block` says why. */
   FS_BLOCKED = 3
@@ -151,7 +152,7 @@ typedef struct fs_state {
    * the gate has taken the newest one, which takes 0.3 ms on an idle machine. */
   int32_t answer;
   /** An `fs_block`: why this handle's command moves nothing, if `answer` is FS_BLOCKED. It is FS_BLOCK_NO_COMMAND until
-   * the gate has taken the command. */
+   * the gate has taken the command, and when the command is older than its source's timeout. */
   int32_t answer_block;
   /** 1: the gate commands a velocity. */
   int32_t moving;

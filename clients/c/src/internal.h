@@ -232,6 +232,7 @@ struct fsi_run {
   struct {
     const char *text;
     uint32_t size;
+    uint64_t timeout_ns; /* how long a command of it counts; 0: not known */
   } source[FSI_MOST_NAMES];
   int sources;
   int first_source;
@@ -260,6 +261,7 @@ struct fs_robot {
   struct fsi_writer left, hello, command, sensed, interlocks, request, seen, said;
   uint8_t commanded[CAP_CLIENT_COMMAND];
   uint64_t commanded_ns;
+  _Atomic uint64_t wanted_ns; /* from when the newest command counts */
   _Atomic int source; /* of the newest command; -1: none */
 
   pthread_mutex_t turn;    /* one request at a time waits for its answer */
@@ -312,7 +314,8 @@ struct fsi_decided {
   double speeds[MOST_SPEEDS];
   int speed_count;
   int answer, answer_block;
-  bool taken; /* the gate knows this handle's source */
+  bool taken; /* the gate has taken this handle's newest command, which may be too old by now */
+  bool expired; /* that command was too old when the gate decided */
   const char *by;
   uint32_t by_size;
   uint8_t latched[2 * CELL_BYTES(CAP_SUPERVISOR_LATCH)];

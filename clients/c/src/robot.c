@@ -444,6 +444,7 @@ static int command(fs_robot *robot, const double *velocity, bool manual, const c
   uint64_t now_ns = fsi_now_ns();
   result = put(robot, &robot->command, payload, sizeof payload, wanted_ns ? wanted_ns : now_ns);
   if (result != FS_OK) return result;
+  atomic_store_explicit(&robot->wanted_ns, wanted_ns && wanted_ns < now_ns ? wanted_ns : now_ns, memory_order_relaxed);
   atomic_store_explicit(&robot->source, source, memory_order_relaxed);
   bool repeats = robot->commanded_ns && memcmp(robot->commanded, payload, sizeof payload) == 0 &&
                  now_ns - robot->commanded_ns <= REPEAT_NS;

@@ -154,6 +154,17 @@ static bool read_rules(struct fsi_run *run) {
   return !rest.bad;
 }
 
+static void read_timeouts(struct fsi_run *run) {
+  struct fsi_value found;
+  for (int at = 0; at < run->sources; at++) {
+    char key[64];
+    snprintf(key, sizeof key, "sources.%.*s.timeout_s", (int)run->source[at].size, run->source[at].text);
+    bool known = fsi_find(run->settings, run->settings_size, key, &found, NULL) ||
+                 fsi_find(run->settings, run->settings_size, "gate.command_timeout_s", &found, NULL);
+    run->source[at].timeout_ns = known && found.number > 0 && found.number < 1e6 ? (uint64_t)(found.number * 1e9) : 0;
+  }
+}
+
 static int attach_all(struct fsi_run *run, char *why, size_t room) {
   int fd = fsi_open_segment(run, TEXT_SUPERVISOR, false, why, room);
   if (fd <= 0) return fd;
@@ -201,6 +212,7 @@ static int attach_all(struct fsi_run *run, char *why, size_t room) {
     snprintf(why, room, "the service's shared memory is damaged: restart the service");
     return FS_DAMAGED;
   }
+  read_timeouts(run);
   return FS_OK;
 }
 

@@ -69,21 +69,34 @@ static void read_sources(const fs_robot *robot, struct fsi_packed *in, const str
   }
 }
 
+/* Far longer than the gate takes from its decision until it has written it. */
+#define DECIDED_NS UINT64_C(20000000)
+
+/* Whether this handle's newest command no longer counts at this time. */
+static bool is_expired(const fs_robot *robot, int source, uint64_t at_ns) {
+  uint64_t wanted_ns = atomic_load_explicit(&robot->wanted_ns, memory_order_relaxed);
+  uint64_t timeout_ns = robot->run->source[source].timeout_ns;
+  return timeout_ns && at_ns > wanted_ns && at_ns - wanted_ns > timeout_ns;
+}
+
 /* What becomes of this handle's newest command, as Robot.drive() says it (failstop/api/robot.py, judge). */
 static void judge(const fs_robot *robot, const struct judged *judged, struct fsi_decided *decided) {
-  decided->taken = judged->known;
-  if (atomic_load_explicit(&robot->source, memory_order_relaxed) < 0 || robot->slot < 0) {
+  int source = atomic_load_explicit(&robot->source, memory_order_relaxed);
+  if (source < 0 || robot->slot < 0) {
     decided->answer = FS_ANSWER_NONE;
     return;
   }
+  decided->taken = judged->known || is_expired(robot, source, fsi_now_ns());
+  /* The gate's decision has no expired command, so its source's row is another program's then. */
+  decided->expired = decided->t_ns > DECIDED_NS && is_expired(robot, source, decided->t_ns - DECIDED_NS);
   decided->answer = FS_BLOCKED;
   if (decided->block == FS_BLOCK_LATCHED || decided->block == FS_BLOCK_DISABLED) {
     decided->answer_block = decided->block;
-  } else if (!judged->known) {
+  } else if (decided->expired ? !judged->driven : !judged->known) {
     decided->answer_block = FS_BLOCK_NO_COMMAND;
-  } else if (judged->held) {
+  } else if (!decided->expired && judged->held) {
     decided->answer_block = FS_BLOCK_HELD;
-  } else if (judged->driven && !judged->driver_is_own) {
+  } else if (judged->driven && (decided->expired || !judged->driver_is_own)) {
     decided->answer = FS_PREEMPTED;
     decided->by = judged->who;
     decided->by_size = judged->who_size;
@@ -326,9 +339,11 @@ int fs_why(const fs_robot *robot, char *out, size_t size) {
     fsi_add_cause(&text, decided.packed, decided.packed_size);
   } else if (decided.answer == FS_PREEMPTED) {
     fsi_add(&text, decided.by, decided.by_size);
-    fsi_adds(&text, " drives, as a source of higher priority");
+    fsi_adds(&text, decided.expired ? " drives, and this program sends no commands" : " drives, as a source of higher priority");
   } else if (decided.answer == FS_BLOCKED && block == FS_BLOCK_NO_COMMAND && !decided.taken) {
     fsi_adds(&text, "the gate has not taken the command yet");
+  } else if (decided.answer == FS_BLOCKED && block == FS_BLOCK_NO_COMMAND && decided.block != block) {
+    fsi_adds(&text, "this program sends no commands");
   } else if (decided.answer == FS_BLOCKED && block == FS_BLOCK_HELD) {
     fsi_adds(&text, "commanded before motion was enabled: send zero or pause, then drive");
   } else {
