@@ -16,8 +16,9 @@
  * during fs_connect(). A thread that is cancelled (pthread_cancel) while it stops, asks, connects or closes ends when the call
  * has returned.
  *
- * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call but fs_stop(),
- * fs_close() and fs_abandon() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
+ * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call that connects, drives,
+ * asks or reads the state returns FS_FORKED, and the parent keeps its slot. fs_stop(), fs_close() and fs_abandon() work, and
+ * so do the calls that only read the settings, such as fs_setting(). An exec() ends the client just as a kill does.
  *
  * Descriptors: a handle holds a few file descriptors, which are closed on exec. If your program closes them itself, for
  * example with closefrom(), every call returns FS_NO_SERVICE, but fs_stop() still works, and failstop neither writes to nor
