@@ -121,26 +121,67 @@ def test_the_robot_that_does_not_start_is_named_with_its_own_file(
     ]
 
 
-@pytest.mark.parametrize(
-    ("why", "failed"), [("remove", "failstop@front.service"), ("remove", ""), ("upgrade", "failstop@front.service")]
-)
+def prerm(files: dict[str, str], why: str, systemctl: str, folder: Path) -> tuple[str, list[str]]:
+    """Run the part of prerm that stops the services. Returns what it says, and the calls of systemctl. `systemctl`: the
+    commands of a stand-in."""
+    [block] = re.findall(r"\Aif \[ -d /run/systemd/system \].*?^fi\n", files["DEBIAN/prerm"].partition("set -e\n\n")[2],
+                         re.MULTILINE | re.DOTALL)  # fmt: skip
+    return run_with_systemctl(block, why, systemctl, folder)
+
+
+def run_with_systemctl(script: str, why: str, systemctl: str, folder: Path) -> tuple[str, list[str]]:
+    """Run a part of a maintainer script on a machine with the stand-in `systemctl`, whose /run is `folder`. Returns
+    what it says, and the calls of systemctl. `why`: what dpkg calls the script for."""
+    program = folder / "systemctl"
+    program.write_text(f'#!/bin/sh\necho "$*" >>{folder}/calls\n{systemctl}')
+    program.chmod(0o755)
+    (folder / "systemd/system").mkdir(parents=True, exist_ok=True)
+    (folder / "calls").write_text("")
+    script = f"set -e\n{script.replace('/run/', f'{folder}/')}"
+    environ = {"PATH": f"{folder}:{os.environ['PATH']}"}
+    done = subprocess.run(["sh", "-c", script, "sh", why], env=environ, capture_output=True, text=True, check=True)
+    return done.stderr, (folder / "calls").read_text().splitlines()
+
+
+@pytest.mark.parametrize("failed", ["failstop@front.service", ""])
+@pytest.mark.parametrize("why", ["remove", "upgrade"])
 def test_a_stop_that_is_not_proven_is_named_when_nothing_goes_on_trying(
     files: dict[str, str], tmp_path: Path, why: str, failed: str
 ) -> None:
-    [block] = re.findall(r"\Aif \[ -d /run/systemd/system \].*?^fi\n", files["DEBIAN/prerm"].partition("set -e\n\n")[2],
-                         re.MULTILINE | re.DOTALL)  # fmt: skip
-    program = tmp_path / "systemctl"
     lists = f'case "$*" in *state=failed*) echo "{failed} loaded failed failed failstop";; esac\n' if failed else ""
-    program.write_text(f'#!/bin/sh\necho "$*" >>{tmp_path}/calls\n{lists}')
-    program.chmod(0o755)
-    (tmp_path / "systemd/system").mkdir(parents=True)
-    script = f"set -e\n{block.replace('/run/', f'{tmp_path}/')}"
-    environ = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    done = subprocess.run(["sh", "-c", script, "sh", why], env=environ, capture_output=True, text=True, check=True)
+    text, calls = prerm(files, why, lists, tmp_path)
     told = f"failstop: the last stop of {failed} is not proven: if a wheel turns, use the POWER SWITCH\n"
-    assert done.stderr == (told if failed and why == "remove" else "")
-    calls = (tmp_path / "calls").read_text().splitlines()
+    assert text == (told if failed else "")
     assert calls[-1].startswith("stop failstop-late.service"), "after they have been looked at"
+
+
+@pytest.mark.parametrize(
+    ("state", "starts"),
+    [("failed", True), ("inactive", True), ("active", False), ("activating", False), ("deactivating", False)],
+)
+@pytest.mark.parametrize("name", ["", "@front"])
+def test_after_an_upgrade_an_unwritten_stop_is_still_tried_unless_the_service_runs(
+    files: dict[str, str], tmp_path: Path, name: str, state: str, starts: bool
+) -> None:
+    """`state`: the state of the service after the upgrade, as systemd reports it. The other robot's service was running
+    all the time."""
+    running = (f"failstop-late{name}.service", "failstop@rear.service")
+    patterns = (running[0].replace("front", "*"), "failstop@*.service")
+    there = "".join(
+        f"case \"$*\" in *{pattern.replace('*', '[*]')}*) echo '{unit} loaded active running it';; esac\n"
+        for unit, pattern in zip(running, patterns, strict=True)
+    )
+    systemctl = (
+        f'case "$*" in *state=active,activating*)\n{there};; esac\n'
+        f'[ "$1" != is-active ] || {{ echo {state}; exit 3; }}\n'
+    )
+    _, calls = prerm(files, "upgrade", systemctl, tmp_path)
+    assert calls[-1].startswith("stop failstop-late.service")
+    [resume] = re.findall(r"^resume\(\) \{\n.*?^\}\n", files["DEBIAN/postinst"], re.MULTILINE | re.DOTALL)
+    _, calls = run_with_systemctl(f"{resume}resume\n", "configure", systemctl, tmp_path)
+    asks = f"is-active failstop{name}.service"
+    assert calls == ["start failstop@rear.service", asks, *[f"start {running[0]}"] * starts]
+    assert run_with_systemctl(f"{resume}resume\n", "configure", systemctl, tmp_path) == ("", []), "only once"
 
 
 def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:
