@@ -5,6 +5,8 @@ from the current folder.
 runs failstop in a folder with another user's `json.py`, Python would run that file as root. Python's option `-P` exists
 only since 3.11. `-I` alone would also ignore PYTHONPATH and the user's site-packages, where ROS and failstop may be
 installed. So a helper starts with `-I` and runs this file, and its parent passes the search path.
+
+A library that reads a settings file from the current folder is imported with import_elsewhere().
 """
 
 from __future__ import annotations
@@ -50,6 +52,24 @@ def leave_current_folder() -> None:
     sys.path[:] = search_path()
     if named := os.environ.get("PYTHONPATH"):
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, named.split(os.pathsep)))
+
+
+def import_elsewhere(module: str) -> None:
+    """Import a module that reads a settings file from the current folder when it is imported, as matplotlib does. The
+    current folder is / meanwhile, where only root has files. Raises ImportError."""
+    from importlib import import_module
+
+    try:
+        here = os.open(".", os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+    except PermissionError:  # then nothing in it can be read either
+        import_module(module)
+        return
+    try:
+        os.chdir("/")
+        import_module(module)
+    finally:
+        os.fchdir(here)
+        os.close(here)
 
 
 def _main(path: str, module: str, *words: str) -> None:

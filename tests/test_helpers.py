@@ -131,3 +131,20 @@ def test_a_program_is_run_as_python_runs_it() -> None:
     program = "import sys; assert __name__ == '__main__'; print(sys.argv)"
     done = subprocess.run(helpers.python("-c", program, "a"), capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['-c', 'a']"
+
+
+def test_a_library_reads_no_settings_of_the_current_folder(theirs: Path) -> None:
+    """And the current folder is the same afterwards. matplotlib reads a matplotlibrc there, before any other."""
+    pytest.importorskip("matplotlib")
+    (theirs / "matplotlibrc").write_text("backend: module://of_theirs\nfigure.facecolor: red\n")
+    (theirs / "of_theirs.py").write_text("raise SystemExit('theirs')")
+    shown = "print(sys.modules['matplotlib'].rcParams['figure.facecolor'], os.getcwd())"
+    program = f"helpers.import_elsewhere('matplotlib'); {shown}"
+    assert ran(program, [*filter(os.path.isabs, sys.path)], theirs) == [f"white {theirs}"]
+
+
+def test_matplotlib_is_imported_elsewhere_wherever_it_is_used() -> None:
+    texts = {str(path.relative_to(ROOT)): path.read_text() for path in package()}
+    users = {name for name, text in texts.items() if "from matplotlib" in text or '"matplotlib.' in text}
+    assert users == {name for name, text in texts.items() if 'import_elsewhere("matplotlib")' in text}
+    assert len(users) == 2

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from failstop import extras
+from failstop import extras, helpers
 from failstop.api import words
 from failstop.incidents import files, memory, story
 from failstop.incidents.files import IncidentError
@@ -71,12 +71,14 @@ def save(incident: Incident, path: str, seconds: float) -> None:
     if not path.lower().endswith(FORMATS):
         raise IncidentError(f"{path}: the name must end in {' or '.join(FORMATS)}")
     try:
+        helpers.import_elsewhere("matplotlib")
         from matplotlib import style
         from matplotlib.figure import Figure
     except ImportError:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
-    with style.context(["seaborn-v0_8-whitegrid", "seaborn-v0_8-colorblind", STYLE]):
+    # after_reset: without the settings of a matplotlibrc, which may run LaTeX.
+    with style.context(["seaborn-v0_8-whitegrid", "seaborn-v0_8-colorblind", STYLE], after_reset=True):
         figure = Figure(dpi=130, facecolor="white", layout="constrained")
         _draw(figure, incident, seconds)
         picture = BytesIO()

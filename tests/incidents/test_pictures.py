@@ -225,6 +225,19 @@ def test_a_picture_of_next_to_nothing_and_one_that_fails(tmp_path: Path) -> None
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", "empty.pdf"}, "nothing is left of it"
 
 
+@pytest.mark.starts
+def test_a_picture_obeys_no_settings_but_ours(incident: Incident, tmp_path: Path) -> None:
+    """They could come from a matplotlibrc in another user's folder, and text.usetex runs LaTeX."""
+    matplotlib = pytest.importorskip("matplotlib")
+    pictures = []
+    for theirs in ({}, {"savefig.facecolor": "red", "text.usetex": True, "lines.marker": "o"}):
+        path = str(tmp_path / "a.png")
+        with matplotlib.rc_context(theirs):
+            plot.save(incident, path, 5.0)
+        pictures.append((tmp_path / "a.png").read_bytes())
+    assert pictures[0] == pictures[1]
+
+
 @pytest.mark.starts  # matplotlib asks fc-list for fonts
 def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_path: Path) -> None:
     parts = drive_and_die()
@@ -243,10 +256,9 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     by_nav = ["follow for nav (pid 77): base 519, wrist 282", "jog for nav (pid 77): base 24/s"]
     assert told == [*by_nav, "moved by nobody"]
     assert found.undecoded == 0
-    matplotlib = pytest.importorskip("matplotlib")
-    with matplotlib.rc_context({"svg.fonttype": "none"}):
-        plot.save(found, str(tmp_path / "a.svg"), 5.0)
-    shown = (tmp_path / "a.svg").read_text()
+    pytest.importorskip("matplotlib")
+    plot.save(found, str(tmp_path / "a.svg"), 5.0)
+    shown = (tmp_path / "a.svg").read_text()  # a comment has each text
     assert shown.startswith("<?xml")
     assert len(shown) > 20_000
     assert "dotted: as reported" not in shown, "this board reports no wheel speeds"

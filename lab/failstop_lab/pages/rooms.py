@@ -45,7 +45,7 @@ ROOMS = {
         "what on this weakens the promises",
         "api board config files instances messages policy procs shm stop_tool supervisor",
     ),
-    "incidents": Room("the black box: each stop as a file", "api board extras files messages policy shm"),
+    "incidents": Room("the black box: each stop as a file", "api board extras files helpers messages policy shm"),
     "api": Room("the robot from Python, and what is shown of it", "board files instances messages policy shm"),
     "config": Room("the settings file", "files policy"),
     "instances": Room("the services of this machine, by name", "files shm"),

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from failstop import helpers
 from failstop.api import distance
 from failstop.cli import style
 from failstop.doctor.machine import facts
@@ -337,11 +338,20 @@ def _draw(results: Sequence[Result], path: str) -> bool:
     """Gyro x and y around each stop; False without matplotlib."""
     shown = [result for result in results if result.samples]
     try:
-        figure_module: Any = importlib.import_module("matplotlib.figure")
+        helpers.import_elsewhere("matplotlib")
+        styles: Any = importlib.import_module("matplotlib.style")
     except ImportError:
         return False
     if not shown:
         return False
+    # after_reset: without the settings of a matplotlibrc, which may run LaTeX.
+    with styles.context([], after_reset=True):
+        _draw_panels(shown, path)
+    return True
+
+
+def _draw_panels(shown: Sequence[Result], path: str) -> None:
+    figure_module: Any = importlib.import_module("matplotlib.figure")
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     # Without pyplot: no window system is asked for.
@@ -361,4 +371,3 @@ def _draw(results: Sequence[Result], path: str) -> bool:
     figure.supxlabel("s from the cause; green: at rest, red: the bar")
     figure.supylabel("rad/s")
     figure.savefig(path, dpi=120)
-    return True
