@@ -13,6 +13,7 @@ from xml.sax.saxutils import escape
 from failstop.api.words import printable
 from failstop.cli import style
 from failstop.cli.style import cells, cut
+from failstop.files import durable
 from failstop.version import VERSION
 from failstop_lab.probe.judge import NEVER_S
 
@@ -252,13 +253,16 @@ class Card:
         return "\n".join([head, frame, *parts, "</svg>", ""])
 
     def save(self, base: str) -> list[str]:
-        """Write base.txt, base.json and base.svg; returns their paths. Raises OSError."""
+        """Write base.txt, base.json and base.svg; returns their paths. Existing files are replaced, but a link or a
+        device is not, and then none of the three is written. Raises OSError."""
         made = {".txt": self.text(), ".json": json.dumps(self.as_dict(), indent=1) + "\n", ".svg": self.svg()}
         os.makedirs(os.path.dirname(os.path.abspath(base)), exist_ok=True)
-        for end in FORMATS:
-            with open(base + end, "w", encoding="utf-8") as file:
-                file.write(made[end])
-        return [base + end for end in FORMATS]
+        paths = [base + end for end in FORMATS]
+        for path in paths:
+            durable.check_replaceable(path)
+        for path, end in zip(paths, FORMATS, strict=True):
+            durable.replace(path, made[end].encode())
+        return paths
 
 
 def _times(row: Row) -> dict[str, Any]:

@@ -383,6 +383,23 @@ def test_the_judge_dates_a_rest_by_its_first_report() -> None:
     assert judge.dated(late, 0, 10**8) == pytest.approx((0.07, 0.03))
 
 
+@pytest.mark.parametrize("end", FORMATS)
+def test_a_card_replaces_an_older_one_but_follows_no_link(tmp_path: Path, end: str) -> None:
+    """Its usual name can be guessed, and root may probe in a folder where others can write."""
+    victim = tmp_path / "victim"
+    victim.write_text("theirs")
+    card = Card("a robot", "ugv", "", "mine", [Row("sigkill", ROWS["sigkill"], 0.8, judge.PERSON)])
+    base = str(tmp_path / "card")
+    assert card.save(base) == card.save(base)
+    kept = {path: path.read_text() for path in tmp_path.iterdir()}
+    Path(base + end).unlink()
+    Path(base + end).symlink_to(victim)
+    with pytest.raises(OSError, match="a link, not a regular file"):
+        card.save(base)
+    assert victim.read_text() == "theirs"
+    assert {path: path.read_text() for path in tmp_path.iterdir()} == {**kept, Path(base + end): "theirs"}
+
+
 def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> None:
     rows = [Row("sigkill", ROWS["sigkill"], None, judge.OWN_WORD), Row("silence", ROWS["silence"], 0.8, judge.PERSON)]
     card = Card("a <robot> & more " * 9, "ugv", "", "mine", [*rows, Row("plug", ROWS["plug"], skipped="nobody")])
