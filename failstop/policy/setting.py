@@ -52,6 +52,9 @@ class Setting(Data):
     doc: str
     allowed: tuple[int, ...] | tuple[str, ...] = ()
     or_folder: bool = False
+    off: int | None = None
+    """A value outside of the range that is also allowed, and turns off what the setting is about. None: there is no
+    such value."""
 
     def check(self, value: object, key: str = "") -> float | str:
         """Check a value, and return it in the type of this setting. Raises SettingError if the value is not allowed.
@@ -69,11 +72,20 @@ class Setting(Data):
             return "" if fits and (value or not self.default) else f"it must be a text of {self.range()}"
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             return f"it must be a number, {self.range()}"
+        if value == self.off:
+            return ""
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
-            return f"it must be {self.range()}"
+            return f"it must be {self.range()}{self._meant(value)}"
         if isinstance(self.default, int) and value != int(value):
             return f"it must be a whole number, {self.range()}"
         return ""
+
+    def _meant(self, value: float) -> str:
+        """A question for a person who wrote volts where the unit is mV. Empty if the value can't be volts."""
+        assert self.low is not None
+        assert self.high is not None
+        fits = self.unit == "mV" and self.low <= 1000 * value <= self.high
+        return f": did you mean {round(1000 * value)}?" if fits else ""
 
     def _is_folder(self, value: object) -> bool:
         fits = self.or_folder and isinstance(value, str) and value.startswith("/")
@@ -86,7 +98,8 @@ class Setting(Data):
             return " or ".join((*words, "the path of a folder") if self.or_folder else words)
         if isinstance(self.default, str):
             return f"{1 if self.default else 0} to {LONGEST_TEXT} characters of one line"
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+        also = "" if self.off is None else f"{self.off:g}, or "
+        return f"{also}{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
 def all_differ(values: dict[str, float | str]) -> None:

@@ -160,10 +160,10 @@ DECLARED = (
     Setting("battery.step_mv", 190, "mV", 10, 5000,
         "if the voltage jumps by this much while motion is disabled, the charger was plugged in (up) or pulled out "
         "(down)"),
-    Setting("battery.stop_mv", -1, "mV", -1, 60000,
+    Setting("battery.stop_mv", -1, "mV", 1000, 60000,
         "latch a stop when the voltage stays below this for 5 s (and at least 5 readings). The next such stop comes "
         "only after the battery was charged, so that it was 10 % above this for a minute, or was away for 5 s "
-        "(longer if the board reports it seldom). -1: never"),
+        "(longer if the board reports it seldom). -1: never", off=-1),
     _word("battery.log", "on", "write the battery's voltage to a file, a new one each day (UTC)", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of the battery log"),
     _word("battery.directory", "", "where the battery log is kept. Empty: the service's state directory"),

@@ -184,6 +184,25 @@ def test_the_message_for_a_value_out_of_range() -> None:
     assert refusal({"restart.deaths": 0}) == "restart.deaths = 0: it must be 1 to 100000"
 
 
+@pytest.mark.parametrize(
+    ("value", "advice"),
+    [
+        (11, ": did you mean 11000?"),
+        (10.5, ": did you mean 10500?"),
+        (12.6, ": did you mean 12600?"),
+        (0, ""),
+        (999, ""),
+    ],
+)
+def test_volts_are_no_millivolts(value: float, advice: str) -> None:
+    """A stop below 11 mV would never come."""
+    assert refusal({"battery.stop_mv": value}) == (
+        f"battery.stop_mv = {value}: it must be -1, or 1000 to 60000 mV{advice}"
+    )
+    assert Settings({"battery.stop_mv": -1})["battery.stop_mv"] == -1
+    assert refusal({"arm.low_mv": 6}) == "arm.low_mv = 6: it must be 1000 to 30000 mV: did you mean 6000?"
+
+
 @pytest.mark.parametrize("setting", WHOLE, ids=lambda setting: setting.key)
 def test_a_whole_number(setting: Setting) -> None:
     whole = int(setting.low or 0) + 1

@@ -125,7 +125,7 @@ def test_of_readings_that_come_together_one_is_kept() -> None:
     assert tested.add(11_191, 5 * S)
 
 
-@pytest.mark.parametrize(("stop_mv", "stops"), [(-1, False), (0, True), (1, True)])
+@pytest.mark.parametrize(("stop_mv", "stops"), [(-1, False), (1000, True), (60_000, True)])
 def test_a_low_battery_stops_with_any_setting_but_minus_1(stop_mv: int, stops: bool) -> None:
     assert LowBattery(Settings({"battery.stop_mv": stop_mv})).stops is stops
 
