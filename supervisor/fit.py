@@ -5,10 +5,15 @@ from __future__ import annotations
 from math import pi
 
 from failstop.board.interface import Board
-from failstop.board.kinds import board_of, is_described, wire_of
+from failstop.board.kinds import board_of, facts_of, is_described, wire_of
 from failstop.policy.kinematics import max_wheel_rps
+from failstop.policy.proofs import observer
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import Settings
+from failstop.policy.settings import BY_KEY, Settings
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 
 def checked_board(settings: Settings, path: str | None) -> Board:
@@ -40,6 +45,32 @@ def wrong_limits(settings: Settings, board: Board) -> str:
         text = f"the board's smallest speed of a wheel is {slowest:.2g} m/s, and the limits are {fastest * turn_m:.2g}"
         return f"{text}: raise [limits], or see board.per_rps"
     return ""
+
+
+def unused(settings: Settings, board: Board, given: Collection[str] = ()) -> list[tuple[str, str]]:
+    """The settings that ask for a protection which this board can't give: (problem, remedy) for each. `given`: the keys
+    that the user has set, if they are known. They matter for a setting that has no value for "off"."""
+    kind = settings.text("board.kind")
+    facts = facts_of(kind)
+    found = []
+    if (least_mv := settings["battery.stop_mv"]) >= 0 and facts and not facts.battery:
+        text = f"battery.stop_mv = {least_mv:g} never stops the robot, because board.kind {kind} reports no battery"
+        found.append((text, "remove it, and watch the battery in another way"))
+    if settings.text("still.command") and not observer(board.observed_by, imu=settings.on("board.imu")):
+        text = f'still.command never runs, because with board.imu = "off" nothing on board.kind {kind} shows whether'
+        found.append((f"{text} the wheels turn", 'set board.imu = "on" if the robot has an IMU, or remove it'))
+    # The description of your own board has no word for keys.
+    if _is_set("key.stop", settings, given) and not (facts and facts.keys):
+        text = f"key.stop = {settings['key.stop']:g} never stops the robot, because board.kind {kind} reports no keys"
+        found.append((text, "remove it, and use an emergency stop switch"))
+    if settings.on("buzzer.tones") and not board.buzzer(1000, 100, 100, 1):
+        text = f'buzzer.tones = "on" warns nobody, because board.kind {kind} has no buzzer that failstop knows'
+        found.append((text, "remove it"))
+    return found
+
+
+def _is_set(key: str, settings: Settings, given: Collection[str]) -> bool:
+    return key in given or settings[key] != BY_KEY[key].default
 
 
 def _check_refresh(settings: Settings, path: str | None) -> None:

@@ -48,6 +48,10 @@ class Facts(Data):
     """How many speeds a frame sets, unless `layouts` lists the layout of the base."""
     imu: bool
     """True if the board has an IMU."""
+    battery: bool = False
+    """True if the board reports the voltage of its battery."""
+    keys: bool = False
+    """True if the board has keys, and reports them."""
     arm: ArmFacts | None = None
     """The arm's servos. None if the board has no servos for an arm."""
     steers: Mapping[str, tuple[int, int, int]] = {}

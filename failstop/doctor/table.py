@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 
-from failstop.doctor import machine, port, service, stop_path
+from failstop.doctor import machine, port, protection, service, stop_path
 from failstop.doctor.look import LEVELS, Finding, Look
 
 Check = Callable[[Look], list[Finding]]
@@ -25,6 +25,7 @@ CHECKS: dict[str, Check] = {
     "console": port.console,
     "commanders": port.commanders,
     "settings": service.settings,
+    "protection": protection.protection,
     "service": service.running,
     "scale": service.wheels_scale,
     "clients": service.clients,

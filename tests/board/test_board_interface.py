@@ -13,7 +13,7 @@ import pytest
 
 from failstop.api.snapshot import Device
 from failstop.board.checks import FrameError
-from failstop.board.interface import BY_IMU, Board, ServoBus
+from failstop.board.interface import BY_IMU, HEARD_BATTERY, Board, ServoBus
 from failstop.board.kinds import KINDS, board_of, facts_of
 from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
@@ -26,6 +26,8 @@ from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import leave_after_ns
 from failstop.procs.schedule import Pings
+from failstop_lab.boards.line import arrivals, model_of, play
+from failstop_lab.boards.traits import HAS_KEYS, traits_of
 from tests.support.boards import wide
 from tests.support.rooms import imports, package
 from tests.support.starting import nodes
@@ -181,6 +183,15 @@ def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.
     assert (found.level, found.text) == (OK, "the service's last stop: written; this board never acknowledges a stop")
 
 
+def reports_battery(kind: str, board: Board) -> bool:
+    """Whether its receiver reports the battery, by itself or in the answers to failstop's questions."""
+    receiver = model_of(kind).live()
+    asked = [(at * 20_000_000, ping) for at, ping in enumerate(board.pings * 3, 1)]
+    play(receiver, arrivals(asked, board.port.byte_ns), 2_000_000_000)
+    heard = board.hearing().feed(b"".join(data for _, data in receiver.said))
+    return any(said == HEARD_BATTERY for said, _ in heard)
+
+
 @pytest.mark.parametrize("kind", BOARDS)
 def test_the_facts_that_settings_need_are_the_board_s(kind: str) -> None:
     """They are known before a board is made, so they could differ from it."""
@@ -194,6 +205,8 @@ def test_the_facts_that_settings_need_are_the_board_s(kind: str) -> None:
         assert board_of(kind, 0.1, 0.0, speeds=facts.most).wheels == facts.most
     assert (facts.arm is None) is (board.arm is None)
     assert facts.imu or board.observed_by != BY_IMU
+    assert facts.battery is (kind == BOARDS[0] or reports_battery(kind, board))
+    assert facts.keys is (HAS_KEYS in traits_of(kind).parts)
     if facts.arm and board.arm:
         last = facts.arm.highest
         assert board.arm.check(board.arm.move([(1, last)], 40), (1,), 60) == ""

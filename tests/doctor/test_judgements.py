@@ -136,6 +136,18 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         WARN,
         "other settings than those in x.toml: board",
     ),
+    (
+        "protection",
+        look(active_settings=Settings({"board.kind": "arduino", "battery.stop_mv": 10_500})),
+        WARN,
+        "battery.stop_mv = 10500 never stops the robot, because board.kind arduino reports no battery",
+    ),
+    (
+        "protection",
+        look(active_settings=Settings({"board.imu": "off", "still.command": "true"})),
+        WARN,
+        'still.command never runs, because with board.imu = "off" nothing on board.kind rrc shows',
+    ),
     ("deaths", look(early_news=False), WARN, "reports a process's death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' is running"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),

@@ -377,6 +377,43 @@ def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
     assert "the board's smallest speed of a wheel is 0.25 m/s, and the limits are 0.11: raise [limits]" in err
 
 
+@pytest.mark.parametrize(
+    ("lines", "notes"),
+    [
+        (
+            ('board.kind = "arduino"', "battery.stop_mv = 10500"),
+            ["battery.stop_mv = 10500 never stops the robot, because board.kind arduino reports no battery: remove it"],
+        ),
+        (
+            ('board.imu = "off"', 'still.command = "relay off"'),
+            ['still.command never runs, because with board.imu = "off" nothing on board.kind rrc shows whether'],
+        ),
+        (
+            ('board.kind = "vesc"', "key.stop = 1", 'buzzer.tones = "on"'),
+            [
+                "key.stop = 1 never stops the robot, because board.kind vesc reports no keys: remove it",
+                'buzzer.tones = "on" warns nobody, because board.kind vesc has no buzzer',
+            ],
+        ),
+        (("battery.stop_mv = 10500", "key.stop = 2", 'still.command = "relay off"', 'buzzer.tones = "on"'), []),
+        (('board.kind = "arduino"', 'still.command = "relay off"', "battery.stop_mv = -1"), []),
+    ],
+)
+def test_a_protection_that_the_board_can_t_give_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, lines: tuple[str, ...], notes: list[str]
+) -> None:
+    """The file is right, because the service starts with it."""
+    file = tmp_path / "robot.toml"
+    file.write_text("\n".join(lines))
+    code, out, _ = run(capsys, "config", "--check", str(file))
+    first, *others = out.splitlines()
+    assert code == 0
+    assert first.startswith(f"{file} is right; ")
+    assert len(others) == len(notes)
+    for line, note in zip(others, notes, strict=True):
+        assert line.startswith(f"but {note}")
+
+
 def asked(kind: str, *, most: float = 0.0, least: float = 0.0) -> Settings:
     """Settings of which the fastest wheel is so many times the most, or the least, that the board takes."""
     given: dict[str, object] = {"board.kind": kind, "wheels.diameter_m": 0.0625}

@@ -8,6 +8,7 @@ from failstop.board.facts import ArmFacts, Facts
 FACTS = Facts(
     speeds=3,
     imu=False,
+    battery=True,
     arm=ArmFacts(highest=4095, turn=4096, wheels=(7, 8, 9), joint={"zero": 2048, "high": 4095}),
     # What LeKiwi's servos can turn in every direction at once.
     defaults={"limits.vx_mps": 0.1, "limits.vy_mps": 0.1, "limits.wz_radps": 0.5},

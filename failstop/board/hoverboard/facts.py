@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from failstop.board.facts import Facts
 
-FACTS = Facts(speeds=2, imu=False)
+FACTS = Facts(speeds=2, imu=False, battery=True)

@@ -8,6 +8,8 @@ from failstop.board.facts import ArmFacts, Facts
 FACTS = Facts(
     speeds=4,
     imu=True,
+    battery=True,
+    keys=True,
     arm=ArmFacts(highest=1000, turn=1500),
     steers={"pwm": (500, 2500, 4), "bus": (0, 1000, 253)},
 )

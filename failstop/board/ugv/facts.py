@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from failstop.board.facts import Facts
 
-FACTS = Facts(speeds=2, imu=True)
+FACTS = Facts(speeds=2, imu=True, battery=True)

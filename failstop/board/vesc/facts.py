@@ -7,6 +7,7 @@ from failstop.board.facts import Facts
 FACTS = Facts(
     speeds=2,
     imu=False,
+    battery=True,
     # SERVO_OUT_PULSE_MIN_US and SERVO_OUT_PULSE_MAX_US of conf_general.h. A VESC has one servo.
     steers={"pwm": (1000, 2000, 1)},
     layouts={"ackermann": 1},

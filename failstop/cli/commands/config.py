@@ -14,7 +14,7 @@ from failstop.api import distance
 from failstop.cli import style
 from failstop.policy.setting import Setting, SettingError
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, UNATTENDED_DRIVE, Settings, declaration
-from failstop.supervisor.fit import checked_board, slowest_mps
+from failstop.supervisor.fit import checked_board, slowest_mps, unused
 
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
@@ -104,7 +104,7 @@ def main(arguments: Namespace) -> int:
         sys.stdout.write(example())
     elif arguments.check is not None:
         read = config.read(arguments.check)
-        checked_board(settings := config.checked(read, arguments.check), arguments.check)
+        board = checked_board(settings := config.checked(read, arguments.check), arguments.check)
         if settings.on("web.drive") and not settings.on("attend.required"):
             raise SettingError(
                 f"{arguments.check}: {UNATTENDED_DRIVE}: the page shows no stick without it. Set it, or remove "
@@ -113,6 +113,8 @@ def main(arguments: Namespace) -> int:
         count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
         rest = f"; a wheel that should go slower than {slowest:.2g} m/s does not turn" if slowest else ""
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")
+        for problem, remedy in unused(settings, board, read):
+            print(f"but {problem}: {remedy}")
     elif arguments.within is not None:
         print(_fastest(config.load(arguments.config), arguments.within))
     else:
