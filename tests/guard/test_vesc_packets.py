@@ -28,6 +28,7 @@ HOST = Path(__file__).parent.parent / "board" / "recorded_vesc_host.json"
 BYTE_NS = 87_000
 MS = 1_000_000
 RPM, DUTY, CURRENT, BRAKE, POSITION, HANDBRAKE, SERVO, MCCONF, ALIVE, FORWARD = 8, 5, 6, 7, 9, 10, 12, 13, 30, 34
+CURRENT_SHARE, BOOT_LOADER, REBOOT, EVERYBODY = 84, 1, 29, 255
 PAIR: dict[str, object] = {"board.kind": "vesc"}
 CAR: dict[str, object] = {"board.kind": "vesc", "wheels.layout": "ackermann"}
 
@@ -84,6 +85,16 @@ def test_both_motors_are_driven_by_one_driver() -> None:
     chunk = packet(RPM, 1000) + behind(RPM, -700) + packet(BRAKE, 2000) + behind(DUTY, 0)
     assert motions(chunk) == [(1000, 0), (1000, -700), (0, -700), (0, 0)]
     assert motions(chunk) == commanded(chunk)
+
+
+@pytest.mark.parametrize("command", [DUTY, CURRENT, CURRENT_SHARE, BRAKE, RPM])
+@pytest.mark.parametrize("can_id", [None, 1, EVERYBODY])
+def test_a_zero_stops_the_motors_that_the_board_itself_would_stop(command: int, can_id: int | None) -> None:
+    """A packet for every controller on the CAN is not one for the controller at the port."""
+    zero = packet(command, 0) if can_id is None else behind(command, 0, can_id)
+    chunk = packet(RPM, 1000) + behind(RPM, -700) + zero
+    assert motions(chunk)[-1] == commanded(chunk)[-1] == ((0, -700) if can_id is None else (1000, 0))
+    assert refusals(chunk) == []
 
 
 def test_packets_may_come_split_and_glued() -> None:
@@ -148,9 +159,13 @@ def test_a_car_is_steered_for_as_long_as_the_guard_keeps_its_speed() -> None:
         (packet(POSITION, 90_000_000), "a position of the motor"),
         (packet(HANDBRAKE, 1000), "a handbrake current"),
         (behind(CURRENT, 1), "a current"),
+        (packet(CURRENT_SHARE, 1000), "a share of the current"),
+        (behind(DUTY, 20_000, EVERYBODY), "a duty cycle"),
+        (wrapped(bytes((REBOOT,))), "a reboot"),
+        (wrapped(bytes((FORWARD, 1, BOOT_LOADER))), "a jump to the boot loader"),
     ],
 )
-def test_what_would_turn_a_motor_without_a_speed_stops_both(chunk: bytes, what: str) -> None:
+def test_what_would_turn_a_motor_without_a_speed_or_restart_it_stops_both(chunk: bytes, what: str) -> None:
     language = made()
     language.wrote(packet(RPM, 1000) + behind(RPM, 1000), 0)
     rows = language.wrote(chunk, 0)
@@ -164,7 +179,7 @@ def test_what_would_turn_a_motor_without_a_speed_stops_both(chunk: bytes, what: 
         (behind(RPM, 1000, 9), "a packet for CAN id 9"),
         (wrapped(bytes((FORWARD,))), "a packet for the CAN"),
         (packet(MCCONF, 0), "command 13"),
-        (wrapped(b"\x01"), "command 1"),
+        (wrapped(b"\x02"), "command 2"),
         (packet(SERVO, 500, 2), "the servo"),
         (wrapped(bytes((FORWARD, 1, 4))), "a question for the second VESC"),
         (b"m 100 100\r", "bytes that are not a packet"),
@@ -238,7 +253,9 @@ def test_nothing_moves_that_the_board_itself_would_not_move() -> None:
 
     def one() -> bytes:
         erpm = random_.choice((0, 1, 673, 900, -5000, 99_999))
-        return random_.choice((packet(RPM, erpm), behind(RPM, erpm), packet(DUTY, 0), packet(CURRENT, erpm)))
+        return random_.choice(
+            (packet(RPM, erpm), behind(RPM, erpm), packet(DUTY, 0), packet(CURRENT, erpm), packet(CURRENT_SHARE, 0))
+        )
 
     moved = 0
     for _ in range(amount(1000, 1_000_000)):

@@ -6,9 +6,11 @@ port, and the answers are passed back. A new speed leaves the servo where the dr
 the wheels turning: a new position of the servo does not make the speed newer, and neither does ALIVE, which pyvesc
 writes from a thread of its own, even while the program's main thread hangs. For the same reason, a speed for one motor
 does not keep the other motor turning for longer than the other motor's own controller would. A brake current sets the
-motor's speed to zero, and so does a duty cycle or a current of zero. Any other duty cycle or current is refused, and so
-is a position of the motor or a handbrake current. The wheels then stop, because failstop can't limit the speed that
-would result. Bytes that are not a packet are skipped as the firmware skips them.
+motor's speed to zero, and so does a duty cycle or a current of zero, also if the current is given as a share of the
+largest one. Any other duty cycle or current is refused, and so is a position of the motor or a handbrake current. The
+wheels then stop, because failstop can't limit the speed that would result. They also stop for a command that restarts
+the controller, because a VESC releases its motor then. A packet for every controller on the CAN (id 255) counts as one
+for the second motor. Bytes that are not a packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ MOTOR_NS = 1_000_000_000
 """A motor that the driver has not commanded for this long, in ns, gets speed zero. It is the time after which a
 controller releases its motor, unless somebody has changed it in VESC Tool."""
 _VALUE, _PLACE = Struct(">i"), Struct(">h")
-_VERSION, _VALUES, _CURRENT, _BRAKE, _POSITION, _HANDBRAKE, _ALIVE = 0, 4, 6, 7, 9, 10, 30
+_VERSION, _VALUES, _CURRENT, _BRAKE, _POSITION, _HANDBRAKE, _ALIVE, _CURRENT_SHARE = 0, 4, 6, 7, 9, 10, 30, 84
+_EVERY_CAN_ID = 255
 _PASSED_ON = frozenset((_VERSION, _VALUES))
 _NO_PACKET = DriverRefusal(
     "bytes that are not a packet", "the board skips them too: is the driver made for this board?"
@@ -43,7 +46,11 @@ _NO_SPEED = {
     _CURRENT: "a current",
     _POSITION: "a position of the motor",
     _HANDBRAKE: "a handbrake current",
+    _CURRENT_SHARE: "a share of the current",
 }
+_ZERO_STOPS = frozenset((codec.DUTY, _CURRENT, _CURRENT_SHARE))
+"""The motor stops or is released if the value of one of these commands is zero."""
+_RESTARTS = {1: "a jump to the boot loader", 29: "a reboot"}
 
 
 class VescDriver:
@@ -90,7 +97,7 @@ class VescDriver:
     def _asked(self, payload: bytes, motor: int, now_ns: int) -> list[Row]:
         command, data = payload[0], payload[1:]
         if command == codec.FORWARD and not motor:
-            if self._can_id is None or len(data) < 2 or data[0] != self._can_id:
+            if self._can_id is None or len(data) < 2 or data[0] not in (self._can_id, _EVERY_CAN_ID):
                 where = f"a packet for CAN id {data[0]}" if data else "a packet for the CAN"
                 known = "no motor on a CAN" if self._can_id is None else f"one on id {self._can_id} (board.can_id)"
                 return [DriverRefusal(where, f"failstop's settings have {known}")]
@@ -110,10 +117,13 @@ class VescDriver:
             (value,) = _VALUE.unpack_from(data)
             if command == codec.RPM:
                 return self._set(motor, float(value), now_ns)
-            if not value and command in (codec.DUTY, _CURRENT):
+            if not value and command in _ZERO_STOPS:
                 return self._set(motor, 0.0, now_ns)
             why = "its speed can't be limited, so the wheels were stopped: use a speed (SetRPM)"
             return [DriverRefusal(_NO_SPEED[command], why), *self._stopped()]
+        if command in _RESTARTS:
+            why = "failstop restarts no controller, so the wheels were stopped: do it while no service runs"
+            return [DriverRefusal(_RESTARTS[command], why), *self._stopped()]
         return [DriverRefusal(f"command {command}", "failstop passes on no settings, tests or other questions")]
 
     def _set(self, motor: int, erpm: float, now_ns: int) -> list[Row]:

@@ -40,9 +40,9 @@ CAN_WAITS_NS = 5_000_000
 DEFAULT_LEAST_ERPM = 900
 UNLIMITED = 100_000.0
 DUTY, CURRENT, BRAKE, RPM, HANDBRAKE, SET_SERVO, STAY_ALIVE, FORWARD = 5, 6, 7, 8, 10, 12, 30, 34
-VERSION, VALUES, SELECTED = 0, 4, 50
-PER_UNIT = {DUTY: UNLIMITED / 100_000, CURRENT: 1.0, RPM: 1.0}
-"""What a unit of these commands counts as. A current is in mA."""
+VERSION, VALUES, SELECTED, CURRENT_SHARE = 0, 4, 50, 84
+PER_UNIT = {DUTY: UNLIMITED / 100_000, CURRENT: 1.0, CURRENT_SHARE: UNLIMITED / 100_000, RPM: 1.0}
+"""What a unit of these commands counts as. A current is in mA, and a duty cycle or a share in 1/100000."""
 DECIVOLTS, HEAT = 118, 310
 _TYPES = ("h", "h", *"iiii", "h", "i", "h", *"iiiiii", "B", "i", "B", "6s", "i", "i", "B")
 """The type of each value by its bit (commands.c, COMM_GET_VALUES_SELECTIVE), up to the status."""
@@ -216,7 +216,7 @@ class Vesc(OneByOne):
         if command in PER_UNIT or command in (BRAKE, HANDBRAKE):
             motor.fed_ns = at_ns
             value = int.from_bytes(data[:4].ljust(4, b"\0"), "big", signed=True) * PER_UNIT.get(command, 0.0)
-            motor.rolls_free = command == CURRENT and not value
+            motor.rolls_free = command in (CURRENT, CURRENT_SHARE) and not value
             motor.speed = 0.0 if command == RPM and abs(value) < self.least_erpm else value
             self.commanded(self.motors.index(motor), at_ns)
         elif command == STAY_ALIVE:
