@@ -79,7 +79,7 @@ def test_a_session_of_hbrobotics_node() -> None:
     """It exits unless the board says its rate within two tries, and asks forever for an OK that is missing."""
     lines = b"b\r", b"u 20:12:0:50\r", b"r\r", b"c 13 1\r", b"w 13 0\r", b"x 5 100\r", b"s 0 90\r", b"a 3\r", b"d 4\r"
     assert answers(*lines) == [b"57600\r\n", OK, OK, OK, OK, OK, OK, b"0\r\n", b"0\r\n"]
-    assert motions(b"".join(lines)) == []
+    assert motions(b"".join(lines)) == [(0.0, 0.0)], "by r"
 
 
 @pytest.mark.parametrize(("setting", "answer"), [(0, b"57600\r\n"), (115_200, b"115200\r\n")])
@@ -94,6 +94,19 @@ def test_the_rate_is_the_one_of_the_board(setting: int, answer: bytes) -> None:
 def test_a_speed_that_would_wrap_around_on_the_board_stops_the_wheels(line: bytes) -> None:
     assert motions(line) == [(0.0, 0.0)]
     assert answers(line) == [OK]
+
+
+def test_a_reset_of_the_encoders_stops_the_wheels_as_the_board_stops_them() -> None:
+    board = Arduino()
+    for value in b"m 30 30\rr\r":
+        board.take(value)
+    assert board.wheels == (0, 0)
+    assert motions(b"m 30 30\rr\r") == [(30, 30), (0, 0)]
+    assert answers(b"r\r") == [OK]
+    language = language_of("arduino", {})
+    assert language
+    [row] = [row for row in language.wrote(b"r\r", 0) if isinstance(row, DriverMotion)]
+    assert not row.refused
 
 
 @pytest.mark.parametrize("line", [b"o 100 100\r", b"q 1 2\r", b"\x80 1 2\r"])

@@ -55,7 +55,6 @@ than this many ns, the `e` is answered with the newest counts instead."""
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
 _WITHOUT_EFFECT = {
-    ord("r"): (_OK, "", ""),
     ord("u"): (_OK, "PID gains (u)", f"{_GAINS}, so build the ones that you need into its firmware"),
     ord("w"): (_OK, "writing a pin (w)", f"{_PINS}; 5, 6, 9, 10, 12 and 13 drive the motors"),
     ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}; 5, 6, 9 and 10 drive the motors"),
@@ -67,8 +66,7 @@ _WITHOUT_EFFECT = {
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
 """Commands that are answered but not passed on to the board: (answer, name, reason) for each. The name and the reason
-are for the refusal that people see. They are empty for `r` (reset the counts), which is not refused: failstop sets the
-counts that it keeps for the driver to zero."""
+are for the refusal that people see."""
 
 
 class ArduinoDriver:
@@ -158,6 +156,11 @@ class ArduinoDriver:
         if self._command == ord("e"):
             counts = self._kept if now_ns - self._kept_ns < _STEADY_NS else self._counts
             return [DriverAnswer(b"%d %d\r\n" % tuple(counts)), *self._ask(now_ns)]
+        if self._command == ord("r"):
+            # Only failstop's counts for this driver become zero. The board would also stop, because its resetPID() sets
+            # the goals of both speed controllers to zero (ROSArduinoBridge.ino).
+            self._counts = self._kept = [0, 0]
+            return [DriverMotion(_REST), DriverAnswer(_OK)]
         if self._command == ord("b"):
             return [DriverAnswer(b"%d\r\n" % self._baud)]
         if self._command == ord("o"):
@@ -170,9 +173,7 @@ class ArduinoDriver:
             return [frame, DriverAnswer(_OK)]
         if found := _WITHOUT_EFFECT.get(self._command):
             answer, what, why = found
-            if self._command == ord("r"):
-                self._counts = self._kept = [0, 0]
-            return [*([DriverRefusal(what, why)] if what else []), DriverAnswer(answer)]
+            return [DriverRefusal(what, why), DriverAnswer(answer)]
         if not self._command:
             return [DriverAnswer(_INVALID)]
         what = f"the command {chr(self._command)!r}" if 32 < self._command < 127 else f"the byte {self._command:#04x}"
