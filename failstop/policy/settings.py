@@ -271,7 +271,7 @@ DECLARED = (
         "close the guard port when its driver wants to move while motion is not enabled. For drivers that report an "
         "error only when their port goes away", SWITCH),
     _word("guard.pins", "",
-        "the board's pins that a driver may set, separated by blanks, for example \"4 11\". Empty: none"),
+        "the board's pins that a driver may set, separated by blanks, for example \"11 16\". Empty: none"),
     Setting("restart.deaths", 5, "", 1, 100000,
         "if a failstop process dies this many times within the window, it stays down until you reset. Before that, "
         "it is restarted each time"),

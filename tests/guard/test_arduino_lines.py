@@ -181,20 +181,20 @@ def test_counts_are_equally_old_each_time(every_ms: int) -> None:
 
 
 def test_a_driver_sets_the_pins_that_the_settings_name_and_no_other() -> None:
-    language = language_of("arduino", {"guard.pins": "11 4"})
+    language = language_of("arduino", {"guard.pins": "11 16"})
     assert language
-    assert frames(language, b"w 11 1\rx 4  200\rc 11 1\r") == [b"w 11 1\r", b"x 4 200\r", b"c 11 1\r"]
+    assert frames(language, b"w 11 1\rx 16  200\rc 11 1\r") == [b"w 11 1\r", b"x 16 200\r", b"c 11 1\r"]
     for line in (b"w 13 1\r", b"w 8 1\r", b"x 11 256\r", b"c 11 2\r", b"w 11 -1\r"):
         rows = language.wrote(line, 0)
         assert [type(row) for row in rows] == [DriverRefusal, DriverAnswer], line
     assert BOARD.check_aux(b"w 11 1\r") == ""
-    for line in (b"w 5 1\r", b"x 13 1\r", b"w 11 1", b"w 11 1\rm +9, +9\r", b"m +9, +9\r", b"e\r"):
+    for line in (b"w 5 1\r", b"x 13 1\r", b"w 4 1\r", b"x 7 1\r", b"c 8 1\r", b"w 11 1", b"w 11 1\rm +9, +9\r", b"m +9, +9\r", b"e\r"):
         assert BOARD.check_aux(line), line
 
 
-@pytest.mark.parametrize("pins", ["13", "eleven", "4 5", "-4"])
+@pytest.mark.parametrize("pins", ["13", "eleven", "11 5", "-11", "4", "7", "8"])
 def test_a_setting_for_pins_that_may_drive_a_motor_is_refused(pins: str) -> None:
-    with pytest.raises(ValueError, match=r"^guard\.pins: .*, must be among 4, 7, 8"):
+    with pytest.raises(ValueError, match=r"^guard\.pins: .*, must be among 11, 14, 15"):
         language_of("arduino", {"guard.pins": pins})
 
 

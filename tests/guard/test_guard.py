@@ -326,7 +326,7 @@ def test_a_pin_that_drives_a_motor_is_named_before_a_driver_can_open_the_port(tm
         with Trial(f"guard-pins-{os.getpid()}", ("--config", str(settings)), kind="arduino") as trial:
             done = failstop("guard", "--name", trial.name, "--path", path)
     assert done.returncode == 1
-    assert "guard.pins: 13, must be among 4, 7, 8" in done.stderr
+    assert "guard.pins: 13, must be among 11, 14, 15" in done.stderr
     assert "Traceback" not in done.stderr
     assert not os.path.lexists(path)
 
@@ -387,7 +387,7 @@ def test_a_service_that_comes_back_with_wrong_settings_ends_the_guard_with_the_r
     board.settings = config.load(None, {"board.kind": "arduino", "guard.pins": "13"})
     board.runs += 1
     try:
-        with pytest.raises(FailstopError, match="pins: 13, must be among 4, 7, 8"):
+        with pytest.raises(FailstopError, match="pins: 13, must be among 11, 14, 15"):
             guard.turn()
     finally:
         guard.close()

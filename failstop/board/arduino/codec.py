@@ -37,10 +37,11 @@ PERIODS = 30
 COUNTS = 3436
 """Encoder counts per turn of a wheel. This is the default of diffdrive_arduino."""
 
-PINS = (4, 7, 8, 11, 14, 15, 16, 17)
-"""The pins of an Uno that drive no motor and read no encoder in the firmware's default wiring. All other pins are in
-use: the L298's PWM is on 5, 6, 9 and 10, its enables are on 12 and 13, the encoders are on 2, 3, A4 (18) and A5 (19),
-and the serial port is on 0 and 1."""
+PINS = (11, 14, 15, 16, 17)
+"""The pins of an Uno that drive no motor and read no encoder, with any motor driver of the two firmwares. joshnewans
+has an L298: its PWM is on 5, 6, 9 and 10, and its enables are on 12 and 13. hbrobotics' default is a Pololu VNH5019
+(README, line 153): its directions are on 2, 4, 7 and 8, its enables are on 6 and 12, and its PWM is on 9 and 10
+(DualVNH5019MotorShield.cpp). The encoders are on 2, 3, A4 (18) and A5 (19), and the serial port is on 0 and 1."""
 _AUX = re.compile(rb"([wxc]) (\d{1,2}) (\d{1,3})\r")
 _MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")

@@ -56,8 +56,8 @@ _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
 _WITHOUT_EFFECT = {
     ord("u"): (_OK, "PID gains (u)", f"{_GAINS}, so build the ones that you need into its firmware"),
-    ord("w"): (_OK, "writing a pin (w)", f"{_PINS}; 5, 6, 9, 10, 12 and 13 drive the motors"),
-    ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}; 5, 6, 9 and 10 drive the motors"),
+    ord("w"): (_OK, "writing a pin (w)", f"{_PINS}; 2 to 10, 12 and 13 may drive the motors"),
+    ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}; 2 to 10, 12 and 13 may drive the motors"),
     ord("c"): (_OK, "setting up a pin (c)", _PINS),
     ord("a"): (b"0\r\n", "reading an analog pin (a)", f"{_PINS}, so the answer is 0"),
     ord("d"): (b"0\r\n", "reading a pin (d)", f"{_PINS}, so the answer is 0"),
