@@ -57,6 +57,9 @@ class Facts(Data):
     steers: Mapping[str, tuple[int, int, int]] = {}
     """The kinds of servos that can steer a base on this board, such as "pwm", with (fewest pulses, most pulses, highest
     id) for each. Empty if the board can't steer."""
+    no_steering: str = ""
+    """Why the servo of a steered base may not move although all is connected, and what helps. Empty if nothing is
+    known."""
     layouts: Mapping[str, int] = {}
     """How many speeds a frame sets, by the base's layout (the setting wheels.layout). Only layouts for which the number
     differs from `speeds` are listed."""

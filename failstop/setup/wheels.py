@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from statistics import median
 
-from failstop.board.kinds import board_of
+from failstop.board.kinds import board_of, facts_of
 from failstop.cli import style
 from failstop.policy import scale
 from failstop.policy.layouts import WHEEL_NAMES, speeds_of, wheel_count
@@ -125,7 +125,11 @@ class Trial:
             if wrong == "turn" and STEERED_BY in Settings(values).flat():
                 found[STEERING] = sign = -int(Settings(values)[STEERING])
                 self._keep({STEERING: sign})
-                talk.warn("So the steering servo turns the other way.", f"{STEERING} is {sign} now; watch it again")
+                facts = facts_of(self._kind)
+                still = f"; if it does not move at all: {facts.no_steering}" if facts and facts.no_steering else ""
+                talk.warn(
+                    "So the steering servo turns the other way.", f"{STEERING} is {sign} now; watch it again{still}"
+                )
                 continue
             if by_hand:
                 raise Left("the settings [wheels] of your board's wheels must be wrong: correct them by hand")

@@ -87,13 +87,15 @@ def leave(*_: object, **__: object) -> None:
 
 
 def test_a_steering_servo_that_turned_the_other_way_still_does_so_when_setup_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Setup also says what helps if the servo of a VESC does not move at all."""
     values = {"board.kind": "vesc", "wheels.layout": "ackermann", "steering.servo": 1, "wheels.wheelbase_m": 0.3}
     monkeypatch.setattr(wheels, "Rig", leave)
     answers = {"per_rps": "unknown", "wheel_0": "rear+", "forward": "yes"}
     with pytest.raises(KeyboardInterrupt):
         trial(tmp_path, values, **answers, turn="no").step()
+    assert "switch Enable Servo Output on" in " ".join(capsys.readouterr().out.split())
     again = trial(tmp_path, values, per_rps="unknown", forward="yes", turn="yes").step()
     assert again["steering.sign"] == 1, "the usual one is -1"
 

@@ -10,6 +10,10 @@ FACTS = Facts(
     battery=True,
     # SERVO_OUT_PULSE_MIN_US and SERVO_OUT_PULSE_MAX_US of conf_general.h. A VESC has one servo.
     steers={"pwm": (1000, 2000, 1)},
+    # APPCONF_SERVO_OUT_ENABLE of appconf_default.h, and app_set_configuration() of app.c. The servo reports nothing, so
+    # failstop shows the commanded angle.
+    no_steering="a VESC's servo output is off as delivered: in VESC Tool, switch Enable Servo Output on, and choose no "
+    "app with PPM",
     layouts={"ackermann": 1},
     # RoboRacer's car. centre and per_rad are the servo's offset 0.5304 and gain -1.2135 (f1tenth_system 03865a0,
     # vesc.yaml) in us. most_deg is what its servo_max of 0.85 leaves on the side where less is left. Sources differ on
