@@ -188,7 +188,17 @@ def test_a_driver_sets_the_pins_that_the_settings_name_and_no_other() -> None:
         rows = language.wrote(line, 0)
         assert [type(row) for row in rows] == [DriverRefusal, DriverAnswer], line
     assert BOARD.check_aux(b"w 11 1\r") == ""
-    for line in (b"w 5 1\r", b"x 13 1\r", b"w 4 1\r", b"x 7 1\r", b"c 8 1\r", b"w 11 1", b"w 11 1\rm +9, +9\r", b"m +9, +9\r", b"e\r"):
+    for line in (
+        b"w 5 1\r",
+        b"x 13 1\r",
+        b"w 4 1\r",
+        b"x 7 1\r",
+        b"c 8 1\r",
+        b"w 11 1",
+        b"w 11 1\rm +9, +9\r",
+        b"m +9, +9\r",
+        b"e\r",
+    ):
         assert BOARD.check_aux(line), line
 
 
