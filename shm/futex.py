@@ -66,7 +66,7 @@ class Futex:
         """Map the page that contains the futex and all its lines. While a thread waits on the futex, the caller must
         keep `fd` open. Raises OSError."""
         self._fd = fd
-        self._own: owned.File | None = None
+        self._own: owned.Inode | None = None
         """The file behind `_fd` if this object has to close it, and otherwise None."""
         self._offset = offset
         start = offset // mmap.PAGESIZE * mmap.PAGESIZE
@@ -81,7 +81,7 @@ class Futex:
         another file could get the number of the closed `fd`, and a thread that is about to hold this futex would write
         to that file. Call this at most once. Raises OSError."""
         self._fd = os.dup(self._fd)
-        self._own = owned.file_of(self._fd)
+        self._own = owned.inode_of(self._fd)
 
     def _value(self) -> int:
         try:

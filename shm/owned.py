@@ -9,11 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 
-File = tuple[int, int]
+Inode = tuple[int, int]
 """The device and inode of a file."""
 
 
-def file_of(fd: int) -> File | None:
+def inode_of(fd: int) -> Inode | None:
     """The file behind this descriptor, or None if the descriptor is closed."""
     try:
         found = os.fstat(fd)
@@ -22,8 +22,8 @@ def file_of(fd: int) -> File | None:
     return found.st_dev, found.st_ino
 
 
-def close(fd: int, file: File | None) -> None:
-    """Close the descriptor if it is open, and `file` is what file_of() returned for it when it was opened."""
-    if file is not None and file_of(fd) == file:
+def close(fd: int, file: Inode | None) -> None:
+    """Close the descriptor if it is open, and `file` is what inode_of() returned for it when it was opened."""
+    if file is not None and inode_of(fd) == file:
         with contextlib.suppress(OSError):
             os.close(fd)

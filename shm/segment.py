@@ -62,7 +62,7 @@ class Segment:
         self.mapped = mapped
         self.view: FileView | mmap.mmap = FileView(fd) if mapped is None else mapped
         self._fd = fd
-        self._file = owned.file_of(fd)
+        self._file = owned.inode_of(fd)
 
     def _place(self, name: str, kind: str) -> tuple[Record, int]:
         record = self.spec.records[name]

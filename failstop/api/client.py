@@ -145,7 +145,7 @@ class SeenRun:
         """The name that the run's segments share, and the uid of their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(segments.open_life, *self.found)
-        self._life_file = owned.file_of(self._life)
+        self._life_file = owned.inode_of(self._life)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.run_record("rules")
         """When the run began (CLOCK_MONOTONIC, ns). This is the time of the record `rules`, which the supervisor writes
@@ -210,9 +210,9 @@ class Client:
         with contextlib.ExitStack() as taken:
             try:
                 claims = claim.open_claims(instance.claims_path(directory))
-                taken.callback(owned.close, claims, owned.file_of(claims))
+                taken.callback(owned.close, claims, owned.inode_of(claims))
                 self._bell = bell.open_pipe_to_write(instance.bell_path(directory))
-                taken.callback(owned.close, self._bell, owned.file_of(self._bell))
+                taken.callback(owned.close, self._bell, owned.inode_of(self._bell))
                 self.slot, self._segment = self._claim_slot(claims, found, gate.incarnation)
                 taken.callback(self._segment.close)
             except PermissionError:
@@ -344,9 +344,9 @@ class Client:
             kept[1]()
 
 
-def _files(*fds: int) -> list[owned.File | None]:
+def _files(*fds: int) -> list[owned.Inode | None]:
     """The file behind each descriptor."""
-    return [owned.file_of(fd) for fd in fds]
+    return [owned.inode_of(fd) for fd in fds]
 
 
 def _give_back(
@@ -356,7 +356,7 @@ def _give_back(
     life: HeldByThread | None,
     farewell: list[bytes],
     owner: int,
-    files: list[owned.File | None],
+    files: list[owned.Inode | None],
 ) -> None:
     """Give a slot back, so that its last command no longer counts. Nothing is written in a forked child, because the
     slot still belongs to the parent process `owner`. Nothing is written either if the program has closed the slot's
