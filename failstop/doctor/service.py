@@ -6,14 +6,16 @@ from __future__ import annotations
 import os
 import shlex
 
-from failstop.api import verdict, words
+from failstop.api import host, verdict, words
+from failstop.api.snapshot import Process, State
 from failstop.board.asking import Unknown
 from failstop.board.interface import BY_IMU
-from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files import root
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy import scale, servos
+from failstop.policy.processes import ROLES
 from failstop.supervisor.fit import checked_board
 from failstop.version import VERSION
 
@@ -86,13 +88,48 @@ def _others(look: Look) -> list[str]:
 
 
 def running(look: Look) -> list[Finding]:
-    """Check whether the service runs and reaches the board, and what is wrong with its IMU, arm and servos."""
+    """Check whether the service and each of its processes run, whether it reaches the board, and what is wrong with its
+    IMU, arm and servos."""
     state, version, problem = look.service
     if problem:
         fix = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("ActiveState") == "active" else ""
         return fail(problem, fix, "restarting the service helps; it also stops the wheels")
     if state is None:
         return _not_running(look)
+    absent = _absent(look, state)
+    found = _served(look, state, version)
+    return absent + [row for row in found if row.level != OK] if absent else found
+
+
+def _absent(look: Look, state: State) -> list[Finding]:
+    """Find each process of the service that is not running, for example because it is suspended or hangs."""
+    found = []
+    for name, process in state.processes.items():
+        if process.state == "running":
+            continue
+        ended = f"{'was ' * process.killed}{process.last_exit}" if process.last_exit else ""
+        who = f"{name}{f' (pid {process.pid})' if process.pid else ''}"
+        text = f"{who} {verdict.absence(process, ended)}; it is the process of {look.name!r} that {ROLES[name]}"
+        # A process that is starting needs no help yet.
+        found += (warn if process.state == "starting" else fail)(text, *_revived(look, process))
+    return found
+
+
+def _revived(look: Look, process: Process) -> tuple[str, str]:
+    """How to get a process back that is not running. Returns (a command, what else to do)."""
+    restart = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("MainPID") == look.pid else ""
+    if process.state == "suspended":
+        return f"sudo kill -CONT {process.pid}", "or type `fg` in its terminal"
+    if process.state == "dead":
+        return host.start(look.name).strip("`"), f"if the wheels turn: {OFF}"
+    if process.state == "hanging":
+        why = f"failstop why{option(look.name)}"
+        return restart or why, "if it does not come back, restart the service; that stops the wheels"
+    return f"failstop why{option(look.name)}", "it says what to do next"
+
+
+def _served(look: Look, state: State, version: str) -> list[Finding]:
+    """Check whether a running service reaches the board, and what is wrong with its IMU, arm and servos."""
     user, newer = look.system.owner(f"/proc/{look.pid}"), "" if version == VERSION else f", this command is {VERSION}"
     where = f"{look.name!r} is running (pid {look.pid}, user {user}, failstop {version}{newer})"
     if state.device.state != "open":

@@ -28,11 +28,14 @@ from failstop.board.tap import Tap
 from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
+from failstop.messages import layout
 from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNASKED, UNMOVED, unmoved
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
+ASKING = (layout.SUPERVISOR, layout.PORT_OWNER, layout.TELEMETRY)
+"""The processes that together ask the board and judge its answers."""
 UNANSWERED = "written; this board never acknowledges a stop"
 
 
@@ -87,6 +90,9 @@ def _known_by_the_service(look: Look, state: State) -> list[Finding]:
     battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v and now else ""
     if state.device.state != "open" or state.device.link in (LINK_DEAF, LINK_SILENT):
         return fail(verdict.unreached(state), f"failstop why{option(look.name)}", asking.WIRES)
+    if absent := [name for name in ASKING if state.processes[name].state != "running"]:
+        text = f"not known: {absent[0]} is {state.processes[absent[0]].state}, so nobody watches the board's answers"
+        return skip(text, "", "fix that first (see service)")
     if state.device.link == LINK_ALIVE:
         return ok(f"it answers the service's questions as {look.kind} does{battery}")
     if state.device.link == LINK_UNASKED:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -159,6 +160,22 @@ def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str
         _, found = doctor("--name", name)
         assert stop_path(found)[0].startswith("ok: the service's last stop: acknowledged by the board after")
         assert (trial.robot.state.estop or "").startswith("stop request: smoke"), "the latch stays"
+
+
+def test_a_suspended_supervisor_is_found(doctor: Doctor, name: str) -> None:
+    with Trial(name) as trial:
+        pid = trial.service.pids()["supervisor"]
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            wait_for("its silence", lambda: trial.robot.state.processes["supervisor"].state == "suspended")
+            code, found = doctor("--name", name)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        trial.leave()
+    assert code == 1
+    assert found["service"][0]["text"].startswith(f"supervisor (pid {pid}) is suspended")
+    assert found["service"][0]["fix"] == f"sudo kill -CONT {pid}"
+    assert "ok" not in [row["level"] for row in found["service"]]
 
 
 def test_a_report_is_one_file_without_a_secret(

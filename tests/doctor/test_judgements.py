@@ -50,6 +50,11 @@ BY_HAND: dict[str, Any] = {"unit": {}, "owners": {"/proc/100": "anna"}}
 """Started by a person."""
 
 
+def absent(name: str, **changed: Any) -> Any:
+    """The service, with one process like this."""
+    return serving(processes={**STATE.processes, name: but(STATE.processes[name], **changed)})
+
+
 def linked(link: str, **changed: Any) -> Any:
     """The service, with this of the board's answers."""
     return serving(device=but(PORT, link=link), **changed)
@@ -151,6 +156,18 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("deaths", look(early_news=False), WARN, "reports a process's death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' is running"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
+    ("service", look(service=absent("supervisor", state="suspended")), FAIL, "supervisor (pid 100) is suspended; it"),
+    ("service", look(service=absent("stopper", state="hanging")), FAIL, "stopper (pid 104) is hanging"),
+    ("service", look(service=absent("supervisor", state="dead")), FAIL, "supervisor (pid 100) is dead"),
+    ("service", look(service=absent("gate", pid=0, state="down")), FAIL, "gate died too often and is down until a"),
+    (
+        "service",
+        look(service=absent("telemetry", pid=0, state="waiting", last_exit="killed by SIGKILL", killed=True)),
+        FAIL,
+        "telemetry is waiting, after it was killed by SIGKILL",
+    ),
+    ("service", look(service=absent("gate", state="starting")), WARN, "gate (pid 102) is starting"),
+    ("board", look(service=absent("telemetry", state="suspended")), SKIP, "telemetry is suspended, so nobody watches"),
     ("service", look(service=linked("deaf")), FAIL, "does not hear"),
     ("service", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
     ("service", look(service=ported("lost")), FAIL, "the port /dev/ttyACM0 is lost, so no stop reaches the board"),
@@ -378,6 +395,14 @@ def test_a_service_of_another_version_is_told_from_this_command() -> None:
     )
 
 
+def test_a_service_with_a_suspended_process_is_not_called_fine() -> None:
+    found = CHECKS["service"](look(service=absent("supervisor", state="suspended")))
+    assert [row.level for row in found] == [FAIL]
+    lost = but(absent("supervisor", state="suspended")[0], device=but(PORT, state="lost"))
+    found = CHECKS["service"](look(service=(lost, VERSION, "")))
+    assert [row.level for row in found] == [FAIL, FAIL], "and its port is lost"
+
+
 def test_other_services_are_named() -> None:
     [(text, *_)] = said(look(service=NOBODY, services=["left", "right"]), "service")
     assert text.endswith(" (running: left, right)")
@@ -400,6 +425,16 @@ SWITCHED = "sudo systemctl disable --now failstop-ros2@bob && sudo systemctl ena
         ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root can check them all"),
         ("service", look(service=UNREADABLE), "sudo systemctl restart failstop.service", "stops the wheels"),
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
+        ("service", look(service=absent("supervisor", state="suspended")), "sudo kill -CONT 100", "`fg`"),
+        (
+            "service",
+            look(service=absent("stopper", state="hanging")),
+            "sudo systemctl restart failstop.service",
+            "stops",
+        ),
+        ("service", look(service=absent("gate", state="hanging"), unit={}), "failstop why", "restart the service"),
+        ("service", look(service=absent("gate", pid=0, state="down")), "failstop why", "what to do next"),
+        ("service", look(service=absent("supervisor", state="dead")), "failstop run", "POWER SWITCH"),
         ("rights", look(service=serving(processes=UNRIGHTED)), "sudo systemctl edit failstop.service", "LimitRTPRIO"),
         ("stop path", look(service=serving(last_stop=None)), "failstop stop", "`failstop reset`"),
         ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), SWITCHED, "UDP alone"),
