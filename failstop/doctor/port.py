@@ -29,6 +29,12 @@ NO_DESCRIPTION = "n/a"
 """pyserial's description of a port that has none. It is a built-in port of a PC, which may be unused."""
 GONE = re.compile(r"(/dev/tty(?:ACM|USB)\d+) \(deleted\)")
 """How /proc shows an open port that was unplugged meanwhile."""
+HIDDEN = "this user can't see the processes of other users (/proc is mounted with hidepid)"
+
+
+def _as_root(look: Look) -> tuple[str, str]:
+    """How to repeat the check as root. Returns (a command, what else to know)."""
+    return f'sudo "$(command -v failstop)" {look.again()}', "root can check them all"
 
 
 def present(look: Look) -> list[Finding]:
@@ -76,6 +82,8 @@ def taken(system: System) -> list[Finding]:
             return fail(text, "sudo apt purge brltty", "then unplug the board and plug it in again")
         module = next((module for chip, module in DRIVERS.items() if chips[usb].startswith(chip)), "cdc_acm")
         advice = "if modprobe finds no such module, this kernel was built without the driver for this chip"
+        if system.hides_processes():
+            advice += f"; or brltty has taken it for a braille display (`sudo apt purge {BRLTTY}`), but {HIDDEN}"
         return fail(f"{what}, because no driver has taken it", f"sudo modprobe {module}", advice)
     return []
 
@@ -154,9 +162,10 @@ def held(look: Look) -> list[Finding]:
             text = f"{holder} has the port open, and failstop checks nothing that it writes"
             known = _known(look, holder)
             found += fail(text, known.fix or holder.end(), known.remedy) if known else fail(text, holder.end())
-    if unseen and not found:
-        text = f"no other program seems to have it open, but {unseen} processes couldn't be checked as this user"
-        return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root can check them all")
+    hidden = look.system.hides_processes()
+    if (unseen or hidden) and not found:
+        why = HIDDEN if hidden else f"{unseen} processes couldn't be checked as this user"
+        return warn(f"no other program seems to have it open, but {why}", *_as_root(look))
     holders = tuple(holder for holder in holders if not holder.is_login)
     return found or ok("only the service has it open" if holders else "no program has it open")
 
@@ -185,7 +194,11 @@ def console(look: Look) -> list[Finding]:
     """Check whether a login or the kernel uses the board's port."""
     if look.node is None or look.node.pseudo:
         return []
-    return talkers(look.system, look.node.path) or ok("no login waits on it, and the kernel writes no messages to it")
+    if found := talkers(look.system, look.node.path):
+        return found
+    if look.system.hides_processes():
+        return skip(f"the kernel writes no messages to it; whether a login waits on it: {HIDDEN}", *_as_root(look))
+    return ok("no login waits on it, and the kernel writes no messages to it")
 
 
 def commanders(look: Look) -> list[Finding]:
@@ -194,6 +207,8 @@ def commanders(look: Look) -> list[Finding]:
     for holder in look.system.every():
         if known := _known(look, holder):
             found += warn(f"{holder} runs: {known.who}", known.fix or holder.end(), known.remedy)
+    if any(one.program for one in look.board.commanders) and look.system.hides_processes():
+        found += skip(f"whether a program that drives this board is running: {HIDDEN}", *_as_root(look))
     return found or ok("failstop knows of nothing else here that could drive this board")
 
 
@@ -218,4 +233,7 @@ def grabbers(look: Look) -> list[Finding]:
             "their port disappears"
         )
         found += warn(text, "sudo apt purge brltty")
+    unseen = [name for name in ("ModemManager", BRLTTY) if name not in names and (name == BRLTTY or not left_alone)]
+    if unseen and look.system.hides_processes():
+        found += skip(f"whether {' or '.join(unseen)} is running: {HIDDEN}", *_as_root(look))
     return found or ok(LEFT_ALONE if "ModemManager" in names else "neither ModemManager nor brltty is running")

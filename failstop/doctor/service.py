@@ -26,6 +26,7 @@ OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
 """The user of the service's systemd unit."""
 EACH_RUN_S = ("gate.lease_s", "device.path")
+UNSEEN = "this user can't see who runs the service (/proc is mounted with hidepid)"
 MOST_NAMED = 4
 """How many settings one finding names."""
 ALONE = "nothing else on this robot measures its speed, so failstop can't notice if board.per_rps is wrong"
@@ -131,7 +132,8 @@ def _revived(look: Look, process: Process) -> tuple[str, str]:
 def _served(look: Look, state: State, version: str) -> list[Finding]:
     """Check whether a running service reaches the board, and what is wrong with its IMU, arm and servos."""
     user, newer = look.system.owner(f"/proc/{look.pid}"), "" if version == VERSION else f", this command is {VERSION}"
-    where = f"{look.name!r} is running (pid {look.pid}, user {user}, failstop {version}{newer})"
+    who = f", user {user}" if user else ""
+    where = f"{look.name!r} is running (pid {look.pid}{who}, failstop {version}{newer})"
     if state.device.state != "open":
         return fail(f"{where}, and {verdict.unreached(state)}", f"failstop why --name {look.name}", OFF)
     if state.device.link == "deaf":
@@ -234,6 +236,8 @@ def state_directory(look: Look) -> list[Finding]:
     if environ is None:
         return skip("this user can't see where the service keeps its incidents", f"sudo failstop {look.again()}")
     uid = system.uid(process)
+    if uid < 0:
+        return skip(f"{UNSEEN}, so its state directory was not checked", f"sudo failstop {look.again()}")
     path = root.state_directory(look.name, environ, writable=lambda folder: system.writable(folder, uid))
     if reason := system.no_room(path):
         return warn(f"{reason}, so incidents can't be saved in {path}", f"df -h {shlex.quote(path)}")
@@ -258,6 +262,9 @@ def state_directory(look: Look) -> list[Finding]:
 def remove_ipc(look: Look) -> list[Finding]:
     """Check whether logind would delete the service's shared memory when its user logs out."""
     process = f"/proc/{look.pid}"
+    if look.system.uid(process) < 0:
+        text = f"{UNSEEN}, so nobody knows whether RemoveIPC matters to it"
+        return skip(text, f"sudo failstop {look.again()}")
     # A service that systemd would start runs as a system user.
     if look.system.uid(process) < FIRST_REGULAR_UID or (look.unit and not look.state):
         return ok("the service runs as a system user, so RemoveIPC does not matter")

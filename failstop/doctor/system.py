@@ -233,8 +233,13 @@ class System:
             os.access(path, os.R_OK | os.W_OK),
         )
 
+    def hides_processes(self) -> bool:
+        """True if this user can't see the processes of other users, because /proc is mounted with hidepid."""
+        return self.read("/proc/1/comm") is None
+
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
-        """(pid, paths of open files) for each other process. The paths are None if this user may not see them."""
+        """(pid, paths of open files) for each other process. The paths are None if this user may not see them.
+        Processes that /proc hides from this user are left out (hides_processes())."""
         for pid in (int(name) for name in self.names("/proc") if name.isdigit()):
             found = set()
             try:
@@ -266,7 +271,7 @@ class System:
         )
 
     def every(self) -> Iterator[Holder]:
-        """All processes."""
+        """All processes that this user can see."""
         return (self.holder(int(pid)) for pid in self.names("/proc") if pid.isdigit())
 
     def service(self, name: str) -> Holder | None:
@@ -276,7 +281,8 @@ class System:
         return next((self.holder(int(pid)) for pid in pids if pid.isdecimal()), None)
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
-        """The processes that have a device open, and how many processes could not be checked."""
+        """The processes that have a device open, and how many processes could not be checked. Processes that /proc
+        hides from this user are not counted (hides_processes())."""
         opened, resolved = list(self.open_files()), os.path.realpath(path)
         found = tuple(self.holder(pid) for pid, paths in opened if paths and resolved in paths)
         return found, sum(paths is None for _, paths in opened)

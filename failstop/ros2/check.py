@@ -25,7 +25,7 @@ def check(look: Look) -> list[Finding]:
     if not pid:
         return ok("no bridge to ROS 2 is connected")
     user = system.owner(f"/proc/{pid}")
-    where = f"the bridge to ROS 2 is connected (pid {pid}, user {user})"
+    where = f"the bridge to ROS 2 is connected (pid {pid}{f', user {user}' if user else ''})"
     maps = system.read(f"/proc/{pid}/maps")
     if not maps:
         return skip(

@@ -37,6 +37,7 @@ KERNEL |= {
     "no_room": "",
     "writable": True,
     "readable": True,
+    "hides_processes": False,
     "environ": {"STATE_DIRECTORY": "/state"},
 }
 KERNEL |= {"account": 998, "refused": "", "portless": []}

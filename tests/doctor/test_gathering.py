@@ -15,7 +15,7 @@ from serial.tools import list_ports
 
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import machine, port, stop_path, table
-from failstop.doctor.look import FAIL, Look
+from failstop.doctor.look import FAIL, SKIP, Look
 from failstop.doctor.system import Holder, System
 from tests.support.ptys import new_pty, open_fds
 
@@ -37,6 +37,17 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
         Holder(13, "bash"),
         Holder(14, "?", instance="left"),
     ]
+
+
+def test_proc_hides_the_processes_of_others_if_the_first_one_is_not_seen(tmp_path: Path) -> None:
+    """With hidepid=2 a user's /proc lists only the user's own processes."""
+    write(tmp_path, "/proc/77/comm", "bash\n")
+    assert System(str(tmp_path)).hides_processes()
+    found = port.grabbers(Look(device_path="/nowhere", system=System(str(tmp_path))))
+    assert [row.level for row in found] == [SKIP]
+    write(tmp_path, "/proc/1/comm", "systemd\n")
+    assert not System(str(tmp_path)).hides_processes()
+    assert not System().hides_processes() or os.geteuid()
 
 
 SUPERVISOR = "python\0/x/supervisor/bootstrap.py\0supervisor\0name=left\0lock=4\0"

@@ -90,6 +90,23 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("holders", look(opens=REMOVED, files=on("minicom", 7)), WARN, "/dev/ttyACM0 open since before"),
     ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
     ("holders", look(holders=((), 3)), WARN, "3 processes couldn't be checked"),
+    ("holders", look(hides_processes=True), WARN, "can't see the processes of other users"),
+    ("grabbers", look(hides_processes=True), SKIP, "whether brltty is running: this user can't see"),
+    (
+        "grabbers",
+        look(hides_processes=True, node=but(NODE, modem_ignored=False)),
+        SKIP,
+        "whether ModemManager or brltty is running: this user can't see",
+    ),
+    ("console", look(hides_processes=True), SKIP, "whether a login waits on it: this user can't see"),
+    (
+        "commanders",
+        look(hides_processes=True, active_settings=of("ugv")),
+        SKIP,
+        "whether a program that drives this board is running: this user can't see",
+    ),
+    ("RemoveIPC", look(hides_processes=True, owners={"/proc/100": ""}), SKIP, "can't see who runs the service"),
+    ("state directory", look(owners={"/proc/100": ""}), SKIP, "can't see who runs the service"),
     (
         "identity",
         look(usb_id="2341:0043", active_settings=of("ugv")),
@@ -531,6 +548,32 @@ def test_a_chip_that_is_plugged_in_without_a_port_is_named(
     assert says in finding.text
     assert fix in finding.fix
     assert "no USB serial device is plugged in" not in finding.text
+
+
+@pytest.mark.parametrize(
+    ("check", "changed"),
+    [
+        ("holders", {"holders": ((Holder(7, "python3"),), 0)}),
+        ("grabbers", {"files": on("brltty")}),
+        ("console", {"files": {"/proc/cmdline": "console=ttyACM0"}}),
+    ],
+)
+def test_what_is_seen_although_proc_hides_others_is_said(check: str, changed: dict[str, Any]) -> None:
+    found = CHECKS[check](look(hides_processes=True, **changed))
+    assert found
+    assert "can't see" not in str(found)
+
+
+def test_brltty_may_have_taken_a_port_although_it_is_not_seen() -> None:
+    changed = look(node=None, portless=["10c4:ea60"], hides_processes=True)
+    [(_, fix, advice)] = said(changed, "port")
+    assert fix == "sudo modprobe cp210x"
+    assert "sudo apt purge brltty" in advice
+
+
+def test_a_user_that_is_not_seen_is_not_named() -> None:
+    [(text, *_)] = said(look(owners={"/proc/100": ""}), "service")
+    assert text.startswith(f"'failstop' is running (pid 100, failstop {VERSION})")
 
 
 def test_a_port_that_our_rule_does_not_know_is_kept_from_modemmanager_by_a_command() -> None:
