@@ -35,7 +35,10 @@ but less reliably than it could. `fail`: a stop may be missing or late, or the s
 
 DEVICE = "device.path"
 BOARD = "board."
-PROPERTIES = "LoadState,ActiveState,SubState,UnitFileState,Result,MainPID,NRestarts"
+PROPERTIES = (
+    "LoadState,ActiveState,SubState,UnitFileState,Result,MainPID,NRestarts,"
+    "User,SupplementaryGroups,ExecStart,ProtectHome,PrivateTmp"
+)
 
 
 @dataclasses.dataclass(frozen=True)

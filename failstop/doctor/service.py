@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shlex
 
+from failstop import config
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Process, State
 from failstop.board.asking import Unknown
@@ -26,6 +27,8 @@ OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
 """The user of the service's systemd unit."""
 EACH_RUN_S = ("gate.lease_s", "device.path")
+HIDES = {"ProtectHome": ("/home/", "/root/", "/run/user/"), "PrivateTmp": ("/tmp/", "/var/tmp/")}
+"""The settings of systemd that hide folders from the service."""
 UNSEEN = "this user can't see who runs the service (/proc is mounted with hidepid)"
 MOST_NAMED = 4
 """How many settings one finding names."""
@@ -53,18 +56,58 @@ def settings(look: Look) -> list[Finding]:
     return ok(path or "no file: every setting has its default")
 
 
+def unit_user(look: Look) -> str:
+    """The name of the user as whom systemd runs the service's unit."""
+    return look.unit.get("User", UNIT_USER) or "root"
+
+
 def _unreadable(look: Look, path: str) -> list[Finding]:
     """Check whether the service's user and this user can read the settings file. Empty if both can."""
     system, path = look.system, os.path.abspath(path)
-    by_unit = look.unit and not look.state
-    uid = system.account(UNIT_USER) if by_unit else system.uid(f"/proc/{look.pid}")
-    if uid >= 0 and not system.readable(path, uid):
-        user = UNIT_USER if by_unit else system.owner(f"/proc/{look.pid}")
-        text = f"{path} can't be read by {user}, so the service won't start"
-        return fail(text, f"sudo chmod 644 {shlex.quote(path)}")
-    if not system.readable(path, system.uid("/proc/self")):
+    by_unit = _starts_with(look, path) and not look.state
+    user = unit_user(look) if by_unit else system.owner(f"/proc/{look.pid}")
+    uid = system.account(user) if by_unit else system.uid(f"/proc/{look.pid}")
+    if uid >= 0 and (closed := system.barrier(path, uid)):
+        text = f"{path} can't be read by {user}"
+        if closed in (path, os.path.realpath(path)):
+            return fail(f"{text}, so the service won't start", f"sudo chmod 644 {shlex.quote(path)}")
+        return fail(f"{text}, because {closed} keeps that user out, so the service won't start", *_copied(look, path))
+    if hidden := _hidden(look, path):
+        place, setting = hidden
+        text = f"{path} leads to {place}, which {setting} hides from the service, so the service won't start"
+        return fail(text, *_copied(look, path))
+    if system.barrier(path, system.uid("/proc/self")):
         return skip(f"this user can't read {path}, so its settings were not checked", f"sudo failstop {look.again()}")
     return []
+
+
+def _starts_with(look: Look, path: str) -> bool:
+    """True if the unit starts the service with this settings file, as far as is known."""
+    start = look.unit.get("ExecStart", "")
+    return bool(look.unit) and (not start or f"--config {path} " in start)
+
+
+def _hidden(look: Look, path: str) -> tuple[str, str] | None:
+    """The last place on the way to the settings file that systemd hides from the unit's service, and the setting that
+    hides it. None if there is no such place."""
+    by_unit = not look.state or look.unit.get("MainPID") == look.pid
+    if not (by_unit and _starts_with(look, path)):
+        return None
+    for place in reversed(look.system.through(path)):
+        for setting, folders in HIDES.items():
+            value = look.unit.get(setting, "no")
+            if value not in ("", "no", "read-only") and f"{place}/".startswith(folders):
+                return place, f"{setting}={value}"
+    return None
+
+
+def _copied(look: Look, path: str) -> tuple[str, str]:
+    """How to put a settings file to a place where the service can read it. Returns (a command, what else to do)."""
+    installed, real = config.installed(look.name), os.path.realpath(path)
+    if not look.unit or real == installed:
+        return "", f"move the file to a folder that the service's user may enter, such as {config.FOLDER}"
+    move = f"sudo install -m 644 {shlex.quote(real)} {shlex.quote(installed)}"
+    return move, "or let the service in there (the drop-ins in docs/service.md)"
 
 
 def _refused(look: Look) -> str:
@@ -248,7 +291,7 @@ def state_directory(look: Look) -> list[Finding]:
         if there != path:
             return ok(f"{path} does not exist yet: systemd makes it when the service starts")
         # The service is not running, so there is no process to ask. Use the unit's user.
-        uid = system.account(UNIT_USER) if not look.state else uid
+        uid = system.account(unit_user(look)) if not look.state else uid
     if not system.writable(there, uid):
         text = f"the service's user can't write to {there}, so incidents can't be saved"
         return warn(

@@ -23,7 +23,7 @@ from typing import TypeVar
 
 from failstop import instances
 from failstop.api.words import printable
-from failstop.files import durable
+from failstop.files import durable, way
 from failstop.files import instance as files_instance
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
@@ -33,6 +33,8 @@ from failstop.supervisor import refused, status
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
 """The major device numbers of pseudo-terminals (from the kernel's list of devices)."""
+ACCESS_LIST = "system.posix_acl_access"
+"""The extended attribute of a file with an access list (acl(5))."""
 LOGINS = ("agetty", "getty", "mgetty", "login")
 T = TypeVar("T")
 TICKS_S = 5.0
@@ -184,22 +186,44 @@ class System:
             return os.access(self.path(path), os.W_OK | os.X_OK)
         return self._may(found, uid, 0o3)
 
-    def readable(self, path: str, uid: int) -> bool:
-        """True if a user may read a file. Also True if the file does not exist."""
-        found = _tried(lambda: os.stat(self.path(path)))
-        if not found or uid == os.geteuid():
-            return not os.path.exists(self.path(path)) or os.access(self.path(path), os.R_OK)
-        return self._may(found, uid, 0o4)
+    def barrier(self, path: str, uid: int, bits: int = 0o4, groups: Collection[str] = ()) -> str:
+        """What keeps a user from using a file: the file itself, or a folder on the way to it. Empty if nothing does, if
+        the file does not exist, or if this user can't see what is there. `bits`: 4 to read, 6 to read and write.
+        `groups`: groups in which the user also is."""
+        with contextlib.suppress(OSError):
+            for here, found, on_the_way in way.steps(path, self.root):
+                needed, real = 0o1 if on_the_way else bits, self.path(here)
+                if stat.S_ISLNK(found.st_mode):
+                    continue
+                if not (
+                    os.access(real, needed) if uid == os.geteuid() else self._may(found, uid, needed, groups, real)
+                ):
+                    return here
+        return ""
+
+    def through(self, path: str) -> list[str]:
+        """The folders and links through which a path leads, and the file at its end, as far as this user can see."""
+        found = []
+        with contextlib.suppress(OSError):
+            for here, *_ in way.steps(path, self.root):
+                found.append(here)
+        return found
 
     @staticmethod
-    def _may(found: os.stat_result, uid: int, bits: int) -> bool:
-        """True if the mode of a file lets a user do all of `bits` (4: read, 2: write, 1: search)."""
-        groups: list[int] = []
+    def _may(found: os.stat_result, uid: int, bits: int, groups: Collection[str] = (), path: str = "") -> bool:
+        """True if the mode of a file lets a user do all of `bits` (4: read, 2: write, 1: search). Also True if the file
+        at `path` has an access list, because that may give the user more."""
+        gids: list[int] = []
         with contextlib.suppress(KeyError):
             account = pwd.getpwuid(uid)
-            groups = os.getgrouplist(account.pw_name, account.pw_gid)
-        shift = 6 if uid == found.st_uid else 3 if found.st_gid in groups else 0
-        return not uid or found.st_mode >> shift & bits == bits
+            gids = os.getgrouplist(account.pw_name, account.pw_gid)
+        for group in groups:
+            with contextlib.suppress(KeyError):
+                gids.append(grp.getgrnam(group).gr_gid)
+        shift = 6 if uid == found.st_uid else 3 if found.st_gid in gids else 0
+        if not uid or found.st_mode >> shift & bits == bits:
+            return True
+        return bool(path) and _tried(lambda: os.getxattr(path, ACCESS_LIST)) is not None
 
     def account(self, name: str) -> int:
         """The uid of the user with this name. -1 if there is none."""

@@ -36,7 +36,8 @@ KERNEL |= {
     "ports": [],
     "no_room": "",
     "writable": True,
-    "readable": True,
+    "barrier": "",
+    "through": [],
     "hides_processes": False,
     "environ": {"STATE_DIRECTORY": "/state"},
 }

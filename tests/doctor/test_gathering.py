@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import grp
 import os
 import pty
 import stat
@@ -92,14 +93,47 @@ def test_who_may_write_a_folder_and_what_a_process_was_started_with(tmp_path: Pa
     assert system.writable("/state", other)
     write(tmp_path, "/file", "")
     assert [system.writable(path, os.geteuid()) for path in ("/nothing", "/file")] == [False, False]
-    for mode, found in ((0o640, False), (0o644, True)):
-        (tmp_path / "file").chmod(mode)
-        assert [system.readable("/file", uid) for uid in (os.geteuid(), 0, other)] == [True, True, found]
-    assert system.readable("/nothing", other)
     write(tmp_path, "/proc/12/environ", "HOME=/h\0STATE_DIRECTORY=/s=t\0")
     assert system.environ("12") == {"HOME": "/h", "STATE_DIRECTORY": "/s=t"}
     assert system.environ("13") is None
     assert (system.account("root"), system.account("nobody-of-this-name")) == (0, -1)
+
+
+def test_what_keeps_a_user_from_a_file(tmp_path: Path) -> None:
+    """The file itself, or a folder on the way to it, also behind a link."""
+    system, other = System(str(tmp_path)), 4711 if os.geteuid() != 4711 else 4712
+    tmp_path.chmod(0o755)
+    write(tmp_path, "/home/robot/x.toml", "")
+    home, file = tmp_path / "home/robot", tmp_path / "home/robot/x.toml"
+    (tmp_path / "etc").mkdir()
+    (tmp_path / "etc/x.toml").symlink_to("../home/robot/x.toml")
+    (tmp_path / "whole.toml").symlink_to("/home/robot/x.toml")
+    for mode, folder, found in (
+        (0o644, 0o755, ""),
+        (0o640, 0o755, "/home/robot/x.toml"),
+        (0o644, 0o750, "/home/robot"),
+    ):
+        file.chmod(mode)
+        home.chmod(folder)
+        for path in ("/home/robot/x.toml", "/etc/x.toml", "/whole.toml", "/etc/../home/robot/x.toml"):
+            assert [system.barrier(path, uid) for uid in (os.geteuid(), 0, other)] == ["", "", found], path
+    assert system.barrier("/nothing", other) == ""
+    assert system.through("/etc/x.toml") == ["/", "/etc", "/etc/x.toml", "/home", "/home/robot", "/home/robot/x.toml"]
+    file.chmod(0o604)
+    home.chmod(0o755)
+    assert system.barrier("/etc/x.toml", other, 0o6) == "/home/robot/x.toml", "it may be read, and not written"
+    (tmp_path / "turns").symlink_to("turns")
+    assert system.barrier("/turns", other) == ""
+
+
+def test_a_user_may_be_let_in_by_a_group_of_the_unit(tmp_path: Path) -> None:
+    system, other = System(str(tmp_path)), 4711 if os.geteuid() != 4711 else 4712
+    tmp_path.chmod(0o755)
+    write(tmp_path, "/file", "")
+    (tmp_path / "file").chmod(0o640)
+    group = grp.getgrgid(os.stat(tmp_path / "file").st_gid).gr_name
+    assert system.barrier("/file", other, 0o4, ("no-group-of-this-name",)) == "/file"
+    assert system.barrier("/file", other, 0o4, (group,)) == ""
 
 
 def test_the_governors_of_all_cores(tmp_path: Path) -> None:

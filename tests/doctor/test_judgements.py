@@ -46,6 +46,9 @@ BY_ID = "/dev/serial/by-id/usb-1a86_USB_Single_Serial_A-if00"
 REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
 DEAF = "LoadState=loaded\nActiveState=active\nStatusText=obeys no fleet stop: no key\nStatusErrno=107\n"
 """Words of systemd about the robot's publisher."""
+INSTALLED = ("/etc/failstop/failstop.toml", Settings(), "")
+AT_HOME = ["/", "/etc", "/home", "/home/anna/robot.toml"]
+EXECUTED = "{ path=/x ; argv[]=/opt/failstop/bin/failstop run --config /etc/failstop/failstop.toml ; ignore_errors=no }"
 BY_HAND: dict[str, Any] = {"unit": {}, "owners": {"/proc/100": "anna"}}
 """Started by a person."""
 
@@ -148,9 +151,27 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ),
     (
         "settings",
-        look(settings=("/x.toml", Settings(), "Permission denied"), readable=False, service=NOBODY),
+        look(settings=("/x.toml", Settings(), "Permission denied"), barrier="/x.toml", service=NOBODY),
         FAIL,
         "/x.toml can't be read by failstop, so the service won't start",
+    ),
+    (
+        "settings",
+        look(settings=INSTALLED, barrier="/home/anna", service=NOBODY),
+        FAIL,
+        "failstop.toml can't be read by failstop, because /home/anna keeps that user out, so the service won't start",
+    ),
+    (
+        "settings",
+        look(settings=INSTALLED, through=AT_HOME, unit=but(UNIT, ProtectHome="yes"), service=NOBODY),
+        FAIL,
+        "failstop.toml leads to /home/anna/robot.toml, which ProtectHome=yes hides from the service",
+    ),
+    (
+        "settings",
+        look(settings=INSTALLED, through=["/var/tmp/x.toml"], unit=but(UNIT, PrivateTmp="yes")),
+        FAIL,
+        "failstop.toml leads to /var/tmp/x.toml, which PrivateTmp=yes hides from the service",
     ),
     (
         "settings",
@@ -685,10 +706,43 @@ def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> 
 
 def test_a_file_that_only_the_service_can_read_is_not_judged() -> None:
     given = look(settings=("/x.toml", Settings(), "Permission denied"), service=NOBODY)
-    given.system.readable = lambda path, uid: uid == given.system.account("failstop")  # type: ignore[method-assign]
+    given.system.barrier = lambda path, uid: path * (uid != given.system.account("failstop"))  # type: ignore
     [found] = [finding for name, finding in examine(given) if name == "settings"]
     assert (found.level, found.text) == (SKIP, "this user can't read /x.toml, so its settings were not checked")
     assert found.fix == "sudo failstop doctor"
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"unit": but(UNIT, ProtectHome="read-only")},
+        {"unit": but(UNIT, ProtectHome="yes", ExecStart=EXECUTED), "settings": ("/home/anna/x.toml", Settings(), "")},
+        {"unit": but(UNIT, ProtectHome="yes"), "service": serving(processes=STATE.processes), "owners": {}, "pid": 7},
+        {"unit": {}},
+    ],
+    ids=["drop-in", "another file", "by hand", "no unit"],
+)
+def test_a_file_at_home_that_the_unit_does_not_use_or_may_see_is_fine(changed: dict[str, Any]) -> None:
+    if changed.pop("pid", 0):
+        changed["unit"] = but(changed["unit"], MainPID="7")
+    found = CHECKS["settings"](look(**{"settings": INSTALLED, "service": NOBODY, "through": AT_HOME, **changed}))
+    assert [row.level for row in found] == [OK]
+
+
+def test_a_file_that_the_unit_uses_is_judged_for_its_user() -> None:
+    unit = but(UNIT, ExecStart=EXECUTED, User="robot")
+    [found] = CHECKS["settings"](look(settings=INSTALLED, service=NOBODY, unit=unit, barrier=INSTALLED[0]))
+    assert found.text.startswith(f"{INSTALLED[0]} can't be read by robot")
+
+
+def test_a_file_that_is_kept_from_the_service_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, link = tmp_path / "robot.toml", tmp_path / "failstop.toml"
+    file.touch()
+    link.symlink_to(file)
+    monkeypatch.setattr(config, "installed", lambda _: str(link))
+    given = look(settings=(str(link), Settings(), ""), barrier=str(tmp_path), service=NOBODY)
+    [(_, fix, _)] = said(given, "settings")
+    assert fix == f"sudo install -m 644 {file} {link}"
 
 
 def test_an_installed_file_that_can_not_be_read_is_not_taken_for_none(
