@@ -9,10 +9,14 @@ from failstop.board.asking import ADAPTERS, DRIVERS
 from failstop.board.kinds import board_of
 from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
-from failstop.doctor.system import Holder, System
+from failstop.doctor.service import unit_user
+from failstop.doctor.system import Holder, Node, System
+from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package has a udev rule for this (docs/install.md; without dpkg: docs/service.md)")
+USE = 0o6
+"""The rights that opening the port needs: read and write."""
 LEFT_ALONE = "ModemManager is running, but a rule tells it to leave this port alone"
 BRLTTY = "brltty"
 LINK = "/dev/failstop"
@@ -121,6 +125,17 @@ def identity(look: Look) -> list[Finding]:
 
 
 def permission(look: Look) -> list[Finding]:
+    """Check whether the service may open the port: the user of its systemd unit, or without a unit this user. With a
+    running service, report the state of the service's port instead."""
+    user = unit_user(look)
+    if look.node is None or look.state or not look.unit or (uid := look.system.account(user)) < 0:
+        return accessible(look)
+    if look.system.barrier(look.node.path, uid, USE, look.unit.get("SupplementaryGroups", "").split()):
+        return _refused(look.node, user, "then start the service")
+    return ok(f"{user}, the user of {unit_of(look.name)}, may open it")
+
+
+def accessible(look: Look) -> list[Finding]:
     """Check whether this user may open the port. With a running service, report the state of the service's port
     instead."""
     node, who = look.node, look.system.owner("/proc/self")
@@ -128,13 +143,15 @@ def permission(look: Look) -> list[Finding]:
         return []
     if look.state:
         return ok(f"the running service opens the port; it is {look.state.device.state}")
-    if node.accessible:
-        return ok(f"{who} may open it")
+    return ok(f"{who} may open it") if node.accessible else _refused(node, who, "then log out and in again")
+
+
+def _refused(node: Node, who: str, then: str) -> list[Finding]:
     text = f"user {who} may not open {node.path}, which belongs to the group {node.group}"
     # Membership in root's group would give the user far more than this port.
-    if node.group == "root":
+    if node.group == "root" or not node.by_group:
         return fail(text, *RULE)
-    return fail(text, f"sudo usermod -aG {node.group} {who}", "then log out and in again")
+    return fail(text, f"sudo usermod -aG {node.group} {who}", then)
 
 
 def held(look: Look) -> list[Finding]:

@@ -33,6 +33,7 @@ from failstop.supervisor import refused, status
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
 """The major device numbers of pseudo-terminals (from the kernel's list of devices)."""
+GROUP_USES = stat.S_IRGRP | stat.S_IWGRP
 ACCESS_LIST = "system.posix_acl_access"
 """The extended attribute of a file with an access list (acl(5))."""
 LOGINS = ("agetty", "getty", "mgetty", "login")
@@ -56,6 +57,8 @@ class Node:
     """True if a udev rule tells ModemManager to leave the device alone."""
     accessible: bool = False
     """True if this process may read and write the device."""
+    by_group: bool = True
+    """True if the members of the group may read and write the device."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -255,6 +258,7 @@ class System:
             group,
             "E:ID_MM_PORT_IGNORE=1" in told.splitlines(),
             os.access(path, os.R_OK | os.W_OK),
+            found.st_mode & GROUP_USES == GROUP_USES,
         )
 
     def hides_processes(self) -> bool:

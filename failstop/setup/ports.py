@@ -11,7 +11,7 @@ from failstop.board import asking, port
 from failstop.board.finder import look_alikes, of_number
 from failstop.board.kinds import board_of
 from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
-from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission, taken, talkers
+from failstop.doctor.port import LINK, NO_DESCRIPTION, accessible, grabbers, held, taken, talkers
 from failstop.doctor.system import System
 from failstop.policy.layouts import BOARDS
 from failstop.setup.rig import RIG
@@ -155,7 +155,7 @@ def hindrances(path: str, system: System) -> list[Finding]:
     """Return why failstop can't open this port, or must share it with another program. Empty if failstop can use the
     port alone."""
     look = Look(device_path=path, system=system)
-    found = [row for check in (permission, held, grabbers) for row in check(look)]
+    found = [row for check in (accessible, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
         return fail(f"{service} has {path} open", service.end())
     return [*talkers(system, path), *(row for row in found if row.level not in (OK, SKIP))]

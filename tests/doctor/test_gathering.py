@@ -16,8 +16,9 @@ from serial.tools import list_ports
 
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import machine, port, stop_path, table
-from failstop.doctor.look import FAIL, SKIP, Look
+from failstop.doctor.look import FAIL, OK, SKIP, Look
 from failstop.doctor.system import Holder, System
+from tests.doctor.parts import NOBODY, NODE, but, look
 from tests.support.ptys import new_pty, open_fds
 
 
@@ -124,6 +125,13 @@ def test_what_keeps_a_user_from_a_file(tmp_path: Path) -> None:
     assert system.barrier("/etc/x.toml", other, 0o6) == "/home/robot/x.toml", "it may be read, and not written"
     (tmp_path / "turns").symlink_to("turns")
     assert system.barrier("/turns", other) == ""
+
+
+def test_setup_asks_whether_this_user_may_open_the_port() -> None:
+    """Setup opens it itself, also if a unit is installed whose user may open it."""
+    closed = look(node=but(NODE, accessible=False), service=NOBODY)
+    assert [row.level for row in port.permission(closed)] == [OK]
+    assert [row.level for row in port.accessible(closed)] == [FAIL]
 
 
 def test_a_user_may_be_let_in_by_a_group_of_the_unit(tmp_path: Path) -> None:

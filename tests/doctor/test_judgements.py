@@ -86,7 +86,8 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("port", look(look_alikes=LIDAR, device=(BY_ID, "x"), twins=True), WARN, "or /dev/ttyACM1"),
     ("identity", look(usb_id="0403:6001"), FAIL, "0403:6001"),
     ("identity", look(usb_id=""), SKIP, "is not a USB device"),
-    ("permission", look(node=but(NODE, accessible=False), service=NOBODY), FAIL, "anna may not open"),
+    ("permission", look(node=but(NODE, accessible=False), service=NOBODY, unit={}), FAIL, "anna may not open"),
+    ("permission", look(barrier="/dev/ttyACM0", service=NOBODY), FAIL, "user failstop may not open /dev/ttyACM0"),
     ("holders", look(holders=((Holder(7, "python3"),), 0)), FAIL, "python3 (pid 7)"),
     ("holders", look(holders=((Holder(7, "driver", "old.service"),), 0)), FAIL, "old.service"),
     ("holders", look(holders=((Holder(7, "fs:gate", instance="left"),), 0)), FAIL, "the service 'left' has the port"),
@@ -323,7 +324,13 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("port", look(), "/dev/ttyACM0 (the default)"),
         ("port", look(node=but(NODE, resolved="/dev/x")), "/dev/ttyACM0, which is /dev/x (the default)"),
         ("permission", look(), "the running service opens the port; it is open"),
-        ("permission", look(service=NOBODY), "anna may open it"),
+        ("permission", look(service=NOBODY, unit={}), "anna may open it"),
+        ("permission", look(service=NOBODY, account=-1), "anna may open it"),
+        (
+            "permission",
+            look(service=NOBODY, node=but(NODE, accessible=False)),
+            "failstop, the user of failstop.service, may open it",
+        ),
         ("holders", look(), "no program has it open"),
         ("holders", look(holders=OPENED), "only the service has it open"),
         ("holders", look(holders=OPENED, service=UNREADABLE), "only the service has it open"),
@@ -452,6 +459,14 @@ SWITCHED = "sudo systemctl disable --now failstop-ros2@bob && sudo systemctl ena
 @pytest.mark.parametrize(
     ("check", "given", "fix", "advice"),
     [
+        (
+            "permission",
+            look(barrier="/dev/ttyACM0", service=NOBODY),
+            "sudo usermod -aG dialout failstop",
+            "then start the service",
+        ),
+        ("permission", look(barrier="/dev/x", service=NOBODY, node=but(NODE, by_group=False)), "", "udev rule"),
+        ("permission", look(barrier="/dev/x", service=NOBODY, node=but(NODE, group="root")), "", "udev rule"),
         ("holders", look(holders=((Holder(7, "python3"),), 0)), "sudo kill 7", ""),
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
         (
@@ -651,7 +666,8 @@ def test_the_gravest_comes_first() -> None:
 
 def test_who_is_let_into_which_group() -> None:
     def closed(group: str) -> tuple[str, str]:
-        [(_, *remedy)] = said(look(node=but(NODE, accessible=False, group=group), service=NOBODY), "permission")
+        node = but(NODE, accessible=False, group=group)
+        [(_, *remedy)] = said(look(node=node, service=NOBODY, unit={}), "permission")
         return remedy[0], remedy[1]
 
     assert closed("dialout") == ("sudo usermod -aG dialout anna", "then log out and in again")
@@ -706,7 +722,7 @@ def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> 
 
 def test_a_file_that_only_the_service_can_read_is_not_judged() -> None:
     given = look(settings=("/x.toml", Settings(), "Permission denied"), service=NOBODY)
-    given.system.barrier = lambda path, uid: path * (uid != given.system.account("failstop"))  # type: ignore
+    given.system.barrier = lambda path, uid, *_: path * (uid != given.system.account("failstop"))  # type: ignore
     [found] = [finding for name, finding in examine(given) if name == "settings"]
     assert (found.level, found.text) == (SKIP, "this user can't read /x.toml, so its settings were not checked")
     assert found.fix == "sudo failstop doctor"
