@@ -139,10 +139,20 @@ class Look:
         return str(self.state.processes[layout.SUPERVISOR].pid) if self.state else "self"
 
     @cached_property
+    def _shown(self) -> str | None:
+        """What systemd says about the service's unit. None if it can't be asked."""
+        return self.system.said("systemctl", "show", unit_of(self.name), "--property", PROPERTIES)
+
+    @property
+    def unit_unknown(self) -> bool:
+        """True if systemd is running, but did not say whether it has a unit of the service."""
+        return not self.unit and self._shown is None and self.system.booted()
+
+    @cached_property
     def unit(self) -> dict[str, str]:
-        """The properties of the service's systemd unit. Empty if systemd has no such unit, or is not running."""
-        said = self.system.said("systemctl", "show", unit_of(self.name), "--property", PROPERTIES)
-        found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
+        """The properties of the service's systemd unit. Empty if systemd has no such unit, is not running, or can't be
+        asked (unit_unknown)."""
+        found = dict(line.split("=", 1) for line in (self._shown or "").splitlines() if "=" in line)
         return found if found.get("LoadState") == "loaded" else {}
 
     @cached_property

@@ -255,8 +255,11 @@ def clients(look: Look) -> list[Finding]:
 def unit(look: Look) -> list[Finding]:
     """Check the service's systemd unit."""
     name, found = unit_of(look.name), look.unit
+    if look.unit_unknown:
+        return skip(f"systemd can't be asked about {name}, or takes too long", f"systemctl status {name}")
     if not found:
-        text = f"systemd has no unit {name}, so nothing starts the service at boot or after a crash"
+        none = f"systemd has no unit {name}" if look.system.booted() else "systemd is not running here"
+        text = f"{none}, so nothing starts the service at boot or after a crash"
         advice = (
             "install the Debian package, which has the unit (docs/install.md); in a container, let the "
             "container's runtime restart it"
@@ -311,8 +314,12 @@ def remove_ipc(look: Look) -> list[Finding]:
     # A service that systemd would start runs as a system user.
     if look.system.uid(process) < FIRST_REGULAR_UID or (look.unit and not look.state):
         return ok("the service runs as a system user, so RemoveIPC does not matter")
-    if look.system.said("busctl", "get-property", *REMOVE_IPC) != "b true\n":
+    said = look.system.said("busctl", "get-property", *REMOVE_IPC)
+    if said == "b false\n":
         return ok("RemoveIPC is off")
+    if said != "b true\n":
+        text = "whether RemoveIPC is on: logind can't be asked, or takes too long"
+        return skip(text, f"busctl get-property {' '.join(REMOVE_IPC)}")
     text = f"RemoveIPC is on, so logind deletes the service's shared memory when {look.system.owner(process)} logs out"
     fix = f"sudo mkdir -p {LOGIND} && printf '[Login]\\nRemoveIPC=no\\n' | sudo tee {LOGIND}/failstop.conf"
     return warn(text, fix, "takes effect after the next boot; or run the service as the system user failstop")

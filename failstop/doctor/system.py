@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from failstop import instances
+from failstop.api import host
 from failstop.api.words import printable
 from failstop.files import durable, way
 from failstop.files import instance as files_instance
@@ -322,6 +323,10 @@ class System:
         except (OSError, subprocess.TimeoutExpired):
             return None
         return done.stdout if done.returncode == 0 else None
+
+    def booted(self) -> bool:
+        """True if this computer was booted with systemd."""
+        return os.path.isdir(self.path(host.BOOTED))
 
     def realtime(self, priority: int = 1) -> AbstractContextManager[bool]:
         """A context that gives this process real-time priority. Yields False if the kernel refuses the priority."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.doctor.look import Finding, Look, ok, warn
+from failstop.doctor.look import Finding, Look, ok, skip, warn
 from failstop.fleet.settings import UNIT
 
 PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
@@ -12,6 +12,8 @@ def check(look: Look) -> list[Finding]:
     """Check whether this robot obeys fleet stops, from the status that its publisher reports to systemd. A publisher
     that was started by hand is not seen."""
     said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
+    if said is None and look.system.booted():
+        return skip(f"systemd can't be asked about {UNIT}, or takes too long", f"systemctl status {UNIT}")
     found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
     active, enabled = found.get("ActiveState") == "active", found.get("UnitFileState", "").startswith("enabled")
     if found.get("LoadState") != "loaded" or not (active or enabled):

@@ -38,6 +38,7 @@ KERNEL |= {
     "writable": True,
     "barrier": "",
     "through": [],
+    "booted": True,
     "hides_processes": False,
     "environ": {"STATE_DIRECTORY": "/state"},
 }

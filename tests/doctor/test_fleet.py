@@ -35,7 +35,7 @@ DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107
 )
 def test_what_the_publisher_says_of_itself(unit: dict[str, str] | None, level: str, text: str, fix: str) -> None:
     said = None if unit is None else "".join(f"{key}={value}\n" for key, value in unit.items())
-    [found] = fleet.check(look(says={"systemctl": said}))
+    [found] = fleet.check(look(says={"systemctl": said}, booted=False))
     assert (found.level, found.text, found.fix) == (level, text, fix)
 
 
@@ -58,7 +58,7 @@ UNREADABLE = "; its memory maps can't be read, so nobody knows whether it uses s
         (7, LIBRARY, f"{HERE} (pid 7, user {ME}), without Fast DDS's shared memory"),
         (7, SHARED.format("failstop.failstop.gate"), f"{HERE} (pid 7, user {ME}), without Fast DDS's shared memory"),
         (7, "", f"{HERE} (pid 7, user {ME}){UNREADABLE}"),
-        (8, "", f"{HERE} (pid 8, user ){UNREADABLE}"),
+        (8, "", f"{HERE} (pid 8){UNREADABLE}"),
     ],
     ids=[
         "none",

@@ -196,7 +196,11 @@ def test_systemctl_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scr
         (tmp_path / "bin/systemctl").chmod(0o755)
     shell_tools = "" if not script else ":/usr/bin:/bin"
     monkeypatch.setenv("PATH", f"{tmp_path}/bin{shell_tools}")
-    assert Look("left").unit == found
+    given = Look("left", system=System(str(tmp_path)))
+    assert given.unit == found
+    assert not given.unit_unknown, "systemd is not running"
+    (tmp_path / "run/systemd/system").mkdir(parents=True)
+    assert given.unit_unknown == (not found)
 
 
 def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> None:
