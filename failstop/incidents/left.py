@@ -3,10 +3,10 @@ that the dead run left."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
-import time
 
-from failstop.api import host, words
+from failstop.api import dates, host, words
 from failstop.api.errors import NoService
 from failstop.api.events import Event, unpack
 from failstop.api.why import Why
@@ -19,7 +19,8 @@ NOT_SAVED = 'its last minute is still in memory, but is not saved, because incid
 
 def left(name: str) -> tuple[Why, list[Event]] | None:
     """Explain why the wheels are stopped, from the memory of a run that did not end cleanly. Returns the answer and the
-    run's events. The memory exists until the service or the computer is started again.
+    run's events, with times by the present wall clock. The memory exists until the service or the computer is started
+    again.
 
     Returns None if the service is running, or if no such memory can be read, for example because another user owns it.
     """
@@ -38,9 +39,9 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
     stop = memory.left_stop(found, cause_ns)
     supervisor = found[layout.SUPERVISOR]
     pid = supervisor["words"]["beat_pid"]
-    now_s = time.time()
-    ended_s = (cause_ns + memory.unix_offset_ns(found)) / 1e9
-    what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, now_s)})"
+    at = dates.now()
+    ended_s = dates.date((cause_ns + memory.unix_offset_ns(found)) / 1e9, cause_ns, at)
+    what = f"no service named {name!r} is running: {cause} (pid {pid}; {words.ago(ended_s, at.unix_s)})"
     steps = [host.start(name), words.named("`failstop incident show last`, for what came before it", name)]
     if stop:
         proof = f"the {stop['written_by']} wrote the stop {words.took(stop['written_us'] / 1e6)} later"
@@ -50,8 +51,9 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
         steps.insert(0, f"{host.stop(name)} if the wheels turn")
     settings = memory.as_map(supervisor["latest"].get("settings", (0, 0, b""))[2])
     also = (NOT_SAVED if settings.get("incidents.save") == "off" else SAVED_LATER,)
+    events = [event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))]
     return Why(what, proof, tuple(steps), also, ended_s), [
-        event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
+        dataclasses.replace(event, t=dates.date(event.t, event.ns, at)) for event in events
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +14,7 @@ import msgpack
 import pytest
 
 from failstop.board.rrc.board import BOARD
-from failstop.incidents import memory
+from failstop.incidents import left, memory
 from failstop.incidents.memory import logged_stop
 from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
@@ -148,6 +149,34 @@ def test_without_its_word_the_last_sign_of_life_counts(name: str) -> None:
     assert memory.left_cause(found) == (1_000_000_000, 3, SUPERVISOR_DIED)
     stop = memory.left_stop(found, 1_000_000_000)
     assert (stop["written_by"], stop["written_us"]) == ("stopper", 51_000.0)
+
+
+@pytest.mark.parametrize("off_s", [0.0, -90 * 86400.0, 3600.0], ids=["not set", "set forward", "set back"])
+def test_the_end_of_a_run_is_dated_by_the_present_clock(off_s: float) -> None:
+    """Somebody may have set the clock after the run's last event, or since its death."""
+    instance = f"left{os.getpid()}x{next(_numbers)}"
+    run = segments.memory(instance, RUN)
+    now_ns, now_s = time.monotonic_ns(), time.time()
+    try:
+        for process in layout.PROCESS_NAMES:
+            segments.create(run, process, RUN).close()
+        dead_run(run, dict.fromkeys(layout.PROCESS_NAMES, now_ns - 60_000_000_000))
+        told = {
+            "t": now_s - 62 + off_s,
+            "ns": now_ns - 62_000_000_000,
+            "kind": "ready",
+            "level": "info",
+            "text": "ready",
+        }
+        owned(run, layout.SUPERVISOR).ring_writer("events").put(msgpack.packb({**told, "fields": {}}))
+        found = left.left(instance)
+    finally:
+        segments.unlink_all(run)
+    assert found is not None
+    why, [event] = found
+    assert why.since == pytest.approx(now_s - 60, abs=5)
+    assert event.t == pytest.approx(now_s - 62, abs=5)
+    assert "1 min ago" in why.what or "60 s ago" in why.what, why.what
 
 
 def test_all_dead_at_once_and_nobody_wrote(name: str) -> None:
