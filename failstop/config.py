@@ -34,7 +34,7 @@ def chosen(name: str, path: str | None) -> str | None:
     """The settings file to use: `path` if given, else the installed file of this instance. Without `path`, None if no
     file is installed. This user may not be able to read the file."""
     default = installed(name)
-    return (default if os.path.exists(default) else None) if path is None else path
+    return (None if durable.missing(default) else default) if path is None else path
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> Settings:

@@ -15,7 +15,7 @@ from failstop.board.kinds import board_of, is_own
 from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
-from failstop.files import instance, place
+from failstop.files import durable, instance, place
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
@@ -254,7 +254,7 @@ class Target:
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
-            table = config.read(path) if self._config or os.path.exists(path) else {}
+            table = config.read(path) if self._config or not durable.missing(path) else {}
             self._file_owner = os.stat(path).st_uid if table else 0
         except SettingError as error:
             self._problems.append(str(error))

@@ -288,8 +288,10 @@ def state_directory(look: Look) -> list[Finding]:
     if reason := system.no_room(path):
         return warn(f"{reason}, so incidents can't be saved in {path}", f"df -h {shlex.quote(path)}")
     there = path
-    while system.uid(there) < 0 and there != os.path.dirname(there):
+    while system.missing(there) and there != os.path.dirname(there):
         there = os.path.dirname(there)
+    if system.uid(there) < 0:
+        return skip(f"this user can't see {there}, so it was not checked", f"sudo failstop {look.again()}")
     if by_unit:
         if there != path:
             return ok(f"{path} does not exist yet: systemd makes it when the service starts")

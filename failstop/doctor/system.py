@@ -161,8 +161,12 @@ class System:
         return _tried(lambda: sorted(os.listdir(self.path(path)))) or []
 
     def uid(self, path: str) -> int:
-        """The uid of the path's owner. -1 if the path does not exist."""
+        """The uid of the path's owner. -1 if the path does not exist, or if this user can't see it."""
         return found.st_uid if (found := _tried(lambda: os.stat(self.path(path)))) else -1
+
+    def missing(self, path: str) -> bool:
+        """True if nothing exists at a path. False also if this user can't see whether something does."""
+        return durable.missing(self.path(path))
 
     def owner(self, path: str) -> str:
         """The name of the path's owner, or the owner's number if there is no account. Empty if the path does not

@@ -142,6 +142,18 @@ def publish(draft: str, path: str) -> None:
         os.close(fd)
 
 
+def missing(path: str) -> bool:
+    """True if nothing exists at a path. False if a closed folder keeps this user from looking: opening the path then
+    raises PermissionError, which says what is wrong."""
+    try:
+        os.stat(path)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return True
+    except OSError:
+        return False
+    return False
+
+
 def no_room(path: str) -> str:
     """Why no new file fits on the disk of this path. Empty if there is room, or if the disk does not report its free
     space. If the path does not exist, the nearest existing folder above it counts."""

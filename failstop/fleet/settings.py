@@ -158,7 +158,7 @@ class FleetSettings:
 def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSettings:
     """Read the settings from `path`, or from the installed file if it exists. Values in `changed` replace those in the
     file. Raises SettingError."""
-    if path is None and os.path.exists(installed := root.at(PLACE)):
+    if path is None and not durable.missing(installed := root.at(PLACE)):
         path = installed
     found = config.read(path)
     try:

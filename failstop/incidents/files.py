@@ -223,7 +223,7 @@ def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str
             head = _part(path, "head", file.read(head_length), head_crc)
             body = _part(path, "body", file.read(body_length), body_crc) if with_body else {}
     except OSError as error:
-        raise IncidentError(f"{path} can't be read: {error.strerror}") from None
+        raise IncidentError(_unreadable(path, error)) from None
     return head, body
 
 
@@ -249,8 +249,17 @@ def places(name: str, environ: Mapping[str, str]) -> list[str]:
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """The existing folders in which a service of this name has saved incidents."""
-    return [path for place in places(name, environ) if os.path.isdir(path := os.path.join(place, FOLDER))]
+    """The existing folders in which a service of this name has saved incidents. A folder that this user can't see may
+    exist, so it is one of them."""
+    found = [os.path.join(place, FOLDER) for place in places(name, environ)]
+    return [path for path in found if os.path.isdir(path) or not (os.path.exists(path) or durable.missing(path))]
+
+
+def _unreadable(path: str, error: OSError) -> str:
+    """The message about a file or a folder that can't be read, with the remedy."""
+    if isinstance(error, PermissionError):
+        return f"{path} can't be read by this user, so use sudo: sudo failstop incident ..."
+    return f"{path} can't be read: {error.strerror}"
 
 
 def identity(path: str) -> str:
@@ -273,7 +282,7 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
         try:
             paths = [os.path.join(folder, entry) for entry in sorted(os.listdir(folder)) if entry.endswith(SUFFIX)]
         except OSError as error:
-            problems.append(f"{folder} can't be read: {error.strerror}")
+            problems.append(_unreadable(folder, error))
             continue
         found.append([])
         for path in paths:
@@ -340,7 +349,17 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
         raise IncidentError(
             f"no incident {wanted!r} of {name!r}: {listing} shows them; if it is another robot's, add --name"
         )
-    raise IncidentError("; ".join((nothing(name, environ), *problems)))
+    # If a folder can't be listed, nobody knows whether it has incidents.
+    none = nothing(name, environ) if all(map(_listed, there)) else f"no incident {wanted!r} of {name!r} was found"
+    raise IncidentError("; ".join((none, *problems)))
+
+
+def _listed(folder: str) -> bool:
+    try:
+        os.listdir(folder)
+    except OSError:
+        return False
+    return True
 
 
 def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -94,6 +94,9 @@ class Made(System):
     def uid(self, path: str) -> int:
         return UIDS.get(self.owner(path), -1)
 
+    def missing(self, path: str) -> bool:
+        return self.uid(path) < 0
+
     def open_files(self) -> Iterator[tuple[int, set[str] | None]]:
         return iter(self._opens.items())
 

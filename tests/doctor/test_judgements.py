@@ -110,6 +110,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         "whether a program that drives this board is running: this user can't see",
     ),
     ("RemoveIPC", look(hides_processes=True, owners={"/proc/100": ""}), SKIP, "can't see who runs the service"),
+    (
+        "state directory",
+        look(owners={STATE_FOLDER: ""}, missing=False),
+        SKIP,
+        f"this user can't see {STATE_FOLDER}, so it was not checked",
+    ),
     ("state directory", look(owners={"/proc/100": ""}), SKIP, "can't see who runs the service"),
     (
         "identity",

@@ -15,6 +15,7 @@ from failstop.incidents import files
 from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
 from tests.support.incident_parts import UNIX_NS, drive_and_die
+from tests.support.unprivileged import unprivileged
 
 MADE = drive_and_die()
 NAMES = ["20260921-143320-gate-died", "20260921-150000-key1", "20260922-020000-device-lost"]
@@ -160,6 +161,25 @@ def test_a_path_is_read_wherever_it_is(environ: dict[str, str], tmp_path: Path) 
 def test_without_any_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(IncidentError, match="no incident of 'nobody' is saved in "):
         files.find("last", "nobody", {"XDG_STATE_HOME": str(tmp_path)})
+
+
+@pytest.mark.parametrize("closed", ["state", "state/incidents"])
+def test_a_folder_that_this_user_may_not_see_is_a_problem(
+    closed: str, environ: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "state" / "incidents"
+    (tmp_path / closed).chmod(0)
+    try:
+        code = unprivileged(lambda: str(main(["incident", "list", "--name", "left"])))
+        listed = capfd.readouterr()
+        unprivileged(lambda: str(main(["incident", "show", "--name", "left"])))
+        shown = capfd.readouterr()
+    finally:
+        (tmp_path / closed).chmod(0o755)
+    assert (code, listed.out) == ("1", "")
+    told = f"{folder} can't be read by this user, so use sudo: sudo failstop incident ..."
+    assert told in listed.err
+    assert f"no incident 'last' of 'left' was found; {told}" in shown.err
 
 
 def test_a_damaged_one_is_told_of_and_hides_no_other(

@@ -17,6 +17,7 @@ import pytest
 from failstop.files import durable
 from failstop_lab.machine.files import Fifo, Null
 from tests.support.children import needs_root
+from tests.support.unprivileged import unprivileged
 
 from .simulated import content, open_fds, put
 
@@ -256,3 +257,22 @@ def test_what_replaces_a_file_touches_no_other_file(tmp_path: Path) -> None:
     assert path.read_text() == "new"
     assert other.read_text() == "somebody else's"
     assert sorted(each.name for each in tmp_path.iterdir()) == ["report.txt", "report.txt.part"]
+
+
+def test_a_file_that_a_closed_folder_hides_is_not_called_missing(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "lost").symlink_to("nothing")
+    for name, found in (
+        ("file", False),
+        (".", False),
+        ("nothing", True),
+        ("file/x", True),
+        ("lost", True),
+        ("\0", True),
+    ):
+        assert durable.missing(f"{tmp_path}/{name}") == found, name
+    tmp_path.chmod(0)
+    try:
+        assert unprivileged(lambda: str(durable.missing(f"{tmp_path}/nothing"))) == "False"
+    finally:
+        tmp_path.chmod(0o700)

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from failstop import config
 from failstop.board.kinds import watchdog_of, wire_of
 from failstop.cli import main as cli
+from failstop.files import root
+from failstop.fleet import settings as fleet_settings
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.layouts import BOARDS
 from failstop.policy.setting import SettingError
@@ -21,6 +23,7 @@ from failstop.policy.settings import BAUDS, DECLARED, Settings
 from failstop.supervisor.fit import checked_board
 from tests.support.boards import own_folder
 from tests.support.supervisor_scene import Scene
+from tests.support.unprivileged import unprivileged
 
 
 @pytest.fixture
@@ -291,6 +294,35 @@ def test_sources_and_interlocks_of_a_file(file: Path) -> None:
         "arm": (500_000_000, "arm is not in the drive pose"),
         "door": (500_000_000, "interlock door is not satisfied"),
     }
+
+
+def test_an_installed_file_in_a_closed_folder_is_not_taken_for_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
+    assert config.chosen("left", None) is None
+    folder = tmp_path / "etc/failstop"
+    folder.mkdir(parents=True)
+    folder.chmod(0)
+
+    def look() -> str:
+        path = config.chosen("left", None)
+        said = [f"{path}"]
+        for load in (lambda: config.load(path), lambda: fleet_settings.load(None)):
+            try:
+                load()
+            except SettingError as error:
+                said.append(str(error))
+        return json.dumps(said)
+
+    try:
+        path, settings, fleet = json.loads(unprivileged(look))
+    finally:
+        folder.chmod(0o755)
+    assert path == config.installed("left")
+    assert f"configuration {path} can't be read by" in settings
+    assert "because a folder above it lets only other users in" in settings
+    assert "can't be read by" in fleet
 
 
 # The command.
