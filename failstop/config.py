@@ -72,6 +72,15 @@ def unreadable(path: str, user: str) -> str:
     return f"{text}: sudo chmod 644 {shlex.quote(path)}"
 
 
+def exposed(path: str, where: str) -> tuple[str, str]:
+    """Say that others may change a settings file, and how to end that. Returns (a text, a command). `where`: what they
+    may write, which is the file or a folder on the way to it."""
+    import shlex  # imported only here, so that a stop does not wait for it
+
+    text = f"others may write {where}, so they can change the settings in {path}, such as the command still.command"
+    return text, f"sudo chmod go-w {shlex.quote(where)}"
+
+
 def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:
     """Say which lines of a settings file are below the wrong [table], and where they belong. Empty if there are none,
     or if the file can't be read. `found`: the values that the file sets, by whole key. `known`: returns True if a

@@ -23,6 +23,7 @@ import stat
 import sys
 import time
 
+from failstop.files import place
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -359,13 +360,10 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
     """Raise OwnBoardError unless this file or folder belongs to root or to this process's user, and nobody but its
-    owner may write it. A folder on the way (`on_the_way`) with the sticky bit, such as /tmp, may be written by others.
-    In such a folder, only the owner of an entry can remove or rename that entry."""
+    owner may write it (place.by_others())."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
-    folder = stat.S_ISDIR(found.st_mode)
-    sticky = on_the_way and folder and found.st_mode & stat.S_ISVTX
-    if (folder or stat.S_ISREG(found.st_mode)) and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not sticky:
+    if place.by_others(found, on_the_way=on_the_way):
         raise OwnBoardError(f"others may write {path}: sudo chmod go-w {path}")
 
 

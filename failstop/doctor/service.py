@@ -38,13 +38,21 @@ REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesk
 
 
 def settings(look: Look) -> list[Finding]:
-    """Check the settings file, and whether the running service uses other settings than those in it."""
+    """Check the settings file, who may change it, and whether the running service uses other settings than those in
+    it."""
     path, _, _ = look.settings
     if path and (found := _unreadable(look, path)):
         return found
     if problem := _refused(look):
         text = f"{problem}; the service won't start until this is fixed"
         return fail(text, f"failstop config --check {shlex.quote(path)}", "check the file again after you fix it")
+    where = look.system.exposed(path) if path else ""
+    found = fail(*config.exposed(path, where)) if where else []
+    return found + [row for row in _compared(look, path) if not found or row.level != OK]
+
+
+def _compared(look: Look, path: str) -> list[Finding]:
+    """Check whether the running service uses other settings than those in the file."""
     if look.state and (others := _others(look)):
         named = (
             f"{', '.join(others[:MOST_NAMED])}{f' and {len(others) - MOST_NAMED} more' * (len(others) > MOST_NAMED)}"

@@ -217,6 +217,10 @@ class System:
                 found.append(here)
         return found
 
+    def exposed(self, path: str) -> str:
+        """What lets others change a file: the file itself, or a folder on the way to it. Empty if nothing does."""
+        return way.exposed(path, self.root)
+
     @staticmethod
     def _may(found: os.stat_result, uid: int, bits: int, groups: Collection[str] = (), path: str = "") -> bool:
         """True if the mode of a file lets a user do all of `bits` (4: read, 2: write, 1: search). Also True if the file

@@ -17,6 +17,15 @@ _FILE = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_NOCTTY | os.O_CLOEXEC
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
+def by_others(found: os.stat_result, *, on_the_way: bool) -> bool:
+    """True if the mode of a file or folder lets anyone but its owner change it. A folder with the sticky bit, such as
+    /tmp, may be on the way to a file (`on_the_way`), because only the owner of an entry can remove or rename that
+    entry."""
+    folder = stat.S_ISDIR(found.st_mode)
+    sticky = on_the_way and folder and found.st_mode & stat.S_ISVTX
+    return bool((folder or stat.S_ISREG(found.st_mode)) and found.st_mode & _BY_OTHERS and not sticky)
+
+
 class Untrusted(OSError):
     """Another user may have made this file or directory. `strerror` gives the reason and the remedy."""
 

@@ -3,9 +3,12 @@ exchange the file."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
+
+from failstop.files import place
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -40,6 +43,33 @@ def steps(path: str, root: str = "/") -> Iterator[tuple[str, os.stat_result, boo
         target = os.readlink(real)
         at = "/" if target.startswith("/") else at
         left += _parts(target)
+
+
+def exposed(path: str, root: str = "/") -> str:
+    """The file, or the folder on the way to it, that anyone but its owner may change. So others could write another
+    text into the file, or put another file in its place. Empty if there is none, as far as this user can see."""
+    with contextlib.suppress(OSError):
+        for here, found, on_the_way in steps(path, root):
+            if place.by_others(found, on_the_way=on_the_way) and not _owner_alone(found):
+                return here
+    return ""
+
+
+def _owner_alone(found: os.stat_result) -> bool:
+    """True if only a group may write the file, and nobody but the file's owner is in that group. On Debian and Ubuntu,
+    every user has such a group, and Ubuntu's umask lets it write to new files."""
+    if found.st_mode & stat.S_IWOTH:
+        return False
+    import grp
+    import pwd
+
+    try:
+        group = grp.getgrgid(found.st_gid)
+        owner = pwd.getpwuid(found.st_uid).pw_name
+    except KeyError:
+        return False
+    members = {*group.gr_mem, *(user.pw_name for user in pwd.getpwall() if user.pw_gid == found.st_gid)}
+    return members <= {owner, "root"}
 
 
 def _parts(path: str) -> list[str]:

@@ -39,6 +39,7 @@ KERNEL |= {
     "barrier": "",
     "through": [],
     "booted": True,
+    "exposed": "",
     "hides_processes": False,
     "environ": {"STATE_DIRECTORY": "/state"},
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import grp
 import os
 import pty
+import pwd
 import stat
 import subprocess
 import sys
@@ -125,6 +126,43 @@ def test_what_keeps_a_user_from_a_file(tmp_path: Path) -> None:
     assert system.barrier("/etc/x.toml", other, 0o6) == "/home/robot/x.toml", "it may be read, and not written"
     (tmp_path / "turns").symlink_to("turns")
     assert system.barrier("/turns", other) == ""
+
+
+@pytest.mark.parametrize(
+    ("file", "folder", "exposed"),
+    [
+        (0o644, 0o755, ""),
+        (0o646, 0o755, "/home/robot/x.toml"),
+        (0o644, 0o757, "/home/robot"),
+        (0o644, 0o1777, ""),
+        (0o666, 0o1777, "/home/robot/x.toml"),
+    ],
+    ids=lambda mode: mode if isinstance(mode, str) else f"{mode:o}",
+)
+def test_what_lets_others_change_a_file(file: int, folder: int, exposed: str, tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
+    write(tmp_path, "/home/robot/x.toml", "")
+    (tmp_path / "x.toml").symlink_to("home/robot/x.toml")
+    (tmp_path / "home/robot/x.toml").chmod(file)
+    (tmp_path / "home/robot").chmod(folder)
+    assert System(str(tmp_path)).exposed("/x.toml") == exposed
+    assert System(str(tmp_path)).exposed("/nothing") == ""
+
+
+def test_a_group_that_has_only_the_owner_is_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tmp_path.chmod(0o755)
+    write(tmp_path, "/x.toml", "")
+    (tmp_path / "x.toml").chmod(0o664)
+    found = os.stat(tmp_path / "x.toml")
+    owner = SimpleNamespace(pw_name="anna", pw_gid=found.st_gid)
+    monkeypatch.setattr(pwd, "getpwuid", lambda _: owner)
+    monkeypatch.setattr(pwd, "getpwall", lambda: [owner])
+    for members, exposed in (([], ""), (["anna"], ""), (["anna", "bob"], "/x.toml")):
+        monkeypatch.setattr(grp, "getgrgid", lambda _, members=members: SimpleNamespace(gr_mem=members))
+        assert System(str(tmp_path)).exposed("/x.toml") == exposed
+    monkeypatch.setattr(grp, "getgrgid", lambda _: SimpleNamespace(gr_mem=[]))
+    monkeypatch.setattr(pwd, "getpwall", lambda: [owner, SimpleNamespace(pw_name="bob", pw_gid=found.st_gid)])
+    assert System(str(tmp_path)).exposed("/x.toml") == "/x.toml"
 
 
 def test_setup_asks_whether_this_user_may_open_the_port() -> None:

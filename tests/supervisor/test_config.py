@@ -396,6 +396,21 @@ def test_a_stick_that_nobody_would_see_is_no_right_file(file: Path, capsys: pyte
     assert run(capsys, "config", "--check", str(file))[0] == 0
 
 
+def test_a_file_that_others_may_write_is_no_right_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A service starts with it all the same: a robot must not stand still after an upgrade."""
+    file.write_text('still.command = "relay off"\n')
+    file.chmod(0o666)
+    code, out, err = run(capsys, "config", "--check", str(file))
+    assert (code, out) == (1, "")
+    assert f"others may write {file}, so they can change the settings in {file}" in err
+    assert f": sudo chmod go-w {file}" in err
+    assert config.load(str(file)).text("still.command") == "relay off"
+    file.chmod(0o644)
+    assert run(capsys, "config", "--check", str(file))[0] == 0
+    file.parent.chmod(0o777)
+    assert f"sudo chmod go-w {file.parent}" in run(capsys, "config", "--check", str(file))[2]
+
+
 def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,7 @@ from textwrap import indent
 from failstop import config
 from failstop.api import distance
 from failstop.cli import style
+from failstop.files import way
 from failstop.policy.setting import Setting, SettingError
 from failstop.policy.settings import BY_KEY, FIRST_SOURCE, UNATTENDED_DRIVE, Settings, declaration
 from failstop.supervisor.fit import checked_board, slowest_mps, unused
@@ -92,7 +93,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     other = parser.add_mutually_exclusive_group()
     other.add_argument(
-        "--check", metavar="FILE", help="only check this file; exit code 0: the file is right, 1: it is not"
+        "--check",
+        metavar="FILE",
+        help="only check this file, and that nobody else may write it; exit code 0: the file is right, 1: it is not",
     )
     whole = "print a TOML file with every setting and its meaning, all commented out"
     other.add_argument("--example", action="store_true", help=whole)
@@ -110,6 +113,8 @@ def main(arguments: Namespace) -> int:
                 f"{arguments.check}: {UNATTENDED_DRIVE}: the page shows no stick without it. Set it, or remove "
                 "web.drive"
             )
+        if where := way.exposed(arguments.check):
+            raise SettingError(": ".join(config.exposed(arguments.check, where)))
         count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
         rest = f"; a wheel that should go slower than {slowest:.2g} m/s does not turn" if slowest else ""
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")
