@@ -340,6 +340,12 @@ RUNAWAY = Kind(
     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether the robot is "
     "on a slope",
 )  # fmt: skip
+UNCOUNTED = Kind(
+    54, "uncounted", "the {wheel} wheel is not counted: commanded {told:.2f} turns a second", "telemetry",
+    "the board counted no turn of the {wheel} wheel, although it was commanded {told:.2f} turns a second. Without "
+    "counts, this board turns a wheel faster and faster",
+    "check that wheel's encoder and its plugs, and whether the wheel is blocked",
+)  # fmt: skip
 WHEEL_MISSING = Kind(
     52, "wheel_missing", "wheel lost: {wheel} does not answer", "telemetry",
     "the {wheel} did not answer while another wheel's did, so the robot would have turned without it",

@@ -5,6 +5,7 @@ gate."""
 from __future__ import annotations
 
 import os
+from math import nan
 from time import monotonic_ns, time
 
 import msgpack
@@ -30,7 +31,7 @@ from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
-from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, RunawayJudge, limits_of
+from failstop.procs.telemetry.runaway import RAN_AWAY, UNCOUNTED, Finding, RunawayJudge, limits_of
 from failstop.procs.telemetry.scale import ScaleJudge
 from failstop.procs.telemetry.silence import Silence
 from failstop.procs.telemetry.state_files import StateFiles
@@ -150,6 +151,9 @@ class Telemetry:
         self._charger = Charger(settings)
         self._log = BatteryLog(settings)
         self._read_back = ReadBack(self._board.reports.apart_ns)
+        self._uncounted: tuple[float, ...] = ()
+        """The turns of the wheels when one of them was found not to be counted, until a count changes. Otherwise
+        empty."""
         self._measured = Measured(self._board.reports, self._board.most_rps)
         self._fact = WheelFact(settings.ns("still.after_s"))
         self._way = Way(self._board.reports)
@@ -424,10 +428,13 @@ class Telemetry:
             measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
             self._box.put(box.pack_board(box.WHEELS_KIND, *measured), t_ns)
         self._restarts.counted(positions, t_ns)
-        if self._read_back.add(speeds, positions, t_ns):
-            self._publish_still(self._read_back, was_still=was_still)
         if self._runaway and (found := self._runaway.add(self._measured.speeds_rps, self._measured.turns, t_ns)):
             self._on_finding(found)
+        if self._uncounted and self._uncounted != self._measured.turns:
+            self._uncounted = ()
+        # Counts that stay as they are prove nothing about wheels that are not counted.
+        if self._read_back.add((nan,) if self._uncounted else speeds, positions, t_ns):
+            self._publish_still(self._read_back, was_still=was_still)
 
     def _on_finding(self, found: Finding) -> None:
         """Stop if a wheel has run away. If a wheel does not turn although it should, only log it."""
@@ -435,6 +442,9 @@ class Telemetry:
         told, seen = round(sign * found.told_rps, 2) + 0.0, round(sign * found.seen_rps, 2) + 0.0
         if found.what == RAN_AWAY:
             self._raise(causes.RUNAWAY(name, told, seen))
+        elif found.what == UNCOUNTED:
+            self._uncounted = self._measured.turns
+            self._raise(causes.UNCOUNTED(name, told))
         else:
             slow = ", or board.per_rps is far too small" if self._board.reports.own_scale else ""
             told_text = f"the {name} wheel does not turn although the command is {told:.2f} turns a second"

@@ -2,7 +2,8 @@
 
 Each report is compared with all speeds that were commanded in the time that the report may describe. A wheel that turns
 faster than these speeds, or the wrong way, gets time to slow down. If the wheel has not slowed down by then, it has run
-away. A wheel that stands still although it should turn only causes a warning. procs/telemetry/runaway.md explains the
+away. A wheel that stands still although it should turn only causes a warning, unless the board controls its speed by
+counts: if a wheel is not counted, such a board turns it faster and faster. procs/telemetry/runaway.md explains the
 thresholds.
 """
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     Told = tuple[float, ...]
 
-RAN_AWAY, STANDS = "ran away", "stands"
+RAN_AWAY, STANDS, UNCOUNTED = "ran away", "stands", "is not counted"
 
 LAG_NS = 300_000_000
 """How long after a new command the wheels may still do what was commanded before. It covers the time until the command
@@ -45,6 +46,10 @@ STANDS_NS = 3_000_000_000
 STANDS_SHARE = 0.1
 STANDS_MPS = 0.02
 """A commanded speed below this may be too low to move the wheel."""
+UNCOUNTED_NS = 1_000_000_000
+"""A wheel that is not counted for this long (in ns), and for so many commanded turns that its encoder should have had
+LEAST_COUNTS, has a dead encoder or is blocked."""
+LEAST_COUNTS = 5.0
 SELDOM_NS = 1_000_000_000
 """A board that reports less often than this, or whose description does not say how often it reports, is not judged."""
 
@@ -83,6 +88,8 @@ class Limits(Data):
     """A wheel may stand still if its commanded speed is below this, in turns per second."""
     apart_ns: int = 0
     """Reports of positions that are closer together than this, in ns, are not judged."""
+    by_counts: bool = False
+    """True if the board controls the wheels' speeds by the counts that it reports."""
 
     def rolls_ns(self, told_rps: float) -> int:
         """Return how long, in ns, a wheel may turn too fast before it can count as run away. This is BEYOND_NS plus the
@@ -106,6 +113,7 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
         braking_rps2=settings["limits.braking_mps2"] / rim_m,
         told_rps=STANDS_MPS / rim_m + 2 * board.step_rps,
         apart_ns=max(reports.every_ns // 4, apart_ns),
+        by_counts=reports.holds_speed and counts > 0,
     )
 
 
@@ -114,7 +122,7 @@ class Finding(Data):
     uses."""
 
     what: str
-    """RAN_AWAY or STANDS."""
+    """RAN_AWAY, STANDS or UNCOUNTED."""
     wheel: int
     """The wheel's id on the wire."""
     told_rps: float
@@ -136,10 +144,14 @@ class _Wheel:
         "side",
         "stand_noted",
         "stands_ns",
+        "uncounted",
+        "uncounted_ns",
     )
 
     def __init__(self) -> None:
         self.beyond_ns = self.last_ns = self.rolls_ns = self.reports = self.second_ns = self.side = self.stands_ns = 0
+        self.uncounted, self.uncounted_ns = 0.0, 0
+        """How many turns were commanded at least since the wheel was last counted, and in how many ns."""
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
@@ -219,6 +231,7 @@ class RunawayJudge:
         for index, wheel in self._wheels.items():
             wheel.before_rps = max(wheel.before_rps, self._fastest(index))
             wheel.beyond_ns = wheel.stands_ns = 0
+            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
             wheel.stand_noted = False
         self._told.clear()
         self._moves = False
@@ -291,6 +304,15 @@ class RunawayJudge:
         wheel.last_ns = t_ns
         return self._stands(index, wheel, seen, bounds, span)
 
+    def _uncounted(self, wheel: _Wheel, seen: float, told: float, elapsed_ns: int) -> bool:
+        """Count how long a wheel has not been counted. Returns True if it is too long."""
+        if seen or told < self._limits.told_rps:
+            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
+            return False
+        wheel.uncounted += told * elapsed_ns * 1e-9
+        wheel.uncounted_ns += elapsed_ns
+        return wheel.uncounted_ns >= UNCOUNTED_NS and wheel.uncounted * self._limits.counts >= LEAST_COUNTS
+
     def _gap_ns(self) -> int:
         """Return the longest allowed gap, in ns, between two reports of a wheel that turns too fast. After a longer
         gap, the time in which the wheel turns too fast is counted from the beginning again. Positions allow a longer
@@ -302,6 +324,9 @@ class RunawayJudge:
     ) -> Finding | None:
         lowest, highest, _ = bounds
         told = max(lowest, -highest)  # the slowest commanded speed, if both have the same sign
+        if self._limits.by_counts and self._uncounted(wheel, seen, told, span[1] - span[0]):
+            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
+            return Finding(UNCOUNTED, index, self._told[-1][1][index], seen)
         if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
             wheel.stands_ns, wheel.stand_noted = 0, False
             return None

@@ -11,7 +11,17 @@ import pytest
 from failstop.board.checks import FrameError
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.vesc import codec
-from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, SERVO_OTHER, Answer, Battery, Health, Sample, Wheels
+from failstop.board.wire import (
+    SERVO_HEAT,
+    SERVO_MISSING,
+    SERVO_OTHER,
+    Answer,
+    Battery,
+    Health,
+    Restarted,
+    Sample,
+    Wheels,
+)
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.supervisor.fit import slowest_mps
@@ -137,7 +147,26 @@ def test_a_controller_s_fault_and_temperature_are_reported(which: int) -> None:
     health = [sample for sample in found if isinstance(sample, Health)][-1]
     heat = 45 if codec.MASKS[which] & 1 else 0
     assert health.rows == ((codec.LOCAL, 0.0, heat, 0), (codec.BEHIND, 0.0, heat, SERVO_HEAT))
-    assert [sample.text for sample in found if isinstance(sample, Answer)] == [str(which)]
+    assert not any(isinstance(sample, Answer) for sample in found)
+
+
+@pytest.mark.parametrize(("fault", "answered"), [(0, True), (1, False), (2, True), (4, False), (255, False)])
+@pytest.mark.parametrize("which", [0, 1])
+def test_an_answer_amid_a_fault_is_no_sign_that_a_stop_was_executed(which: int, fault: int, answered: bool) -> None:
+    """The controller drops commands for 0.5 s, and then drives on. Without a battery it has a fault all the time."""
+    reader = codec.Motors((1,)).replies()
+    reader.feed(answer(0, 0, 1) + answer(0, 1, 1))
+    faults = {which: fault}
+    heard = [
+        reader.feed(answer(ask, 0, 1, fault=faults.get(0, 0)) + answer(ask, 1, 1, fault=faults.get(1, 0)))
+        for ask in (1, 2, 3)
+    ]
+    assert [any(isinstance(sample, Answer) for sample in found) for found in heard] == [answered] * 3
+    assert all(any(isinstance(sample, Wheels) for sample in found) for found in heard)
+    told = [sample.text for found in heard for sample in found if isinstance(sample, Restarted)]
+    assert told == ([f"controller {which + 1} released its motor (fault {fault})"] if fault else []), "once"
+    over = reader.feed(answer(0, 0, 1) + answer(0, 1, 1))
+    assert any(isinstance(sample, Answer) for sample in over)
 
 
 @pytest.mark.parametrize("fault", [3, 7, 26, 255])

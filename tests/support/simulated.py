@@ -98,6 +98,9 @@ class Board:
         self._robot.board.catch_up()
         model.roll(faster, pushed_rps)
 
+    def lie(self, times: float = 1.0) -> None:
+        self._robot.board.lie(times)
+
     def imu(self, on: bool) -> None:
         self._model.imu_on = on
 

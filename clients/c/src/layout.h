@@ -319,5 +319,8 @@
     {53, "ros_stranger", \
      "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", \
      "end that node, or add its name to the bridge's allowed_publishers and start the bridge again"}, \
+    {54, "uncounted", \
+     "the {wheel} wheel is not counted: commanded {told:.2f} turns a second", \
+     "check that wheel's encoder and its plugs, and whether the wheel is blocked"}, \
 
 #endif

@@ -34,6 +34,7 @@ from failstop.board.wire import (
     Battery,
     Health,
     Reader,
+    Restarted,
     Sample,
     Wheels,
     beyond,
@@ -80,6 +81,7 @@ WRONG = {0: 0, 1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HE
 """The faults of a controller (FAULT_CODE_ of datatypes.h) that failstop can name, with the bit for each. All other
 codes are SERVO_OTHER, for example 3 for the chip that drives the transistors. The controller releases its motor at any
 fault."""
+UNDER_VOLTAGE = 2
 FIRST_US, WAY_US = 1000, 1000
 """The shortest pulse of the servo output, and how much longer the longest pulse is, in us (SERVO_OUT_PULSE_ of
 conf_general.h). A position is sent in thousandths of the way from the shortest pulse to the longest."""
@@ -254,6 +256,10 @@ class Replies(Reader):
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
         """What is wrong with each controller, as a sum of SERVO_ bits (wire.py), by the controller's id in reports."""
+        self._faults: dict[int, int] = {}
+        """The fault code of each controller. For 0.5 s after a fault, a controller ignores all commands for its motor,
+        and answers all the same (mc_interface.c, mc_interface_fault_stop). So such an answer is no sign that it has
+        executed a stop. UNDER_VOLTAGE is left out: a controller without a battery has it all the time."""
         self._last_report: dict[int, int] = {}
         """The value of _wrong in the last report."""
         self._answers = 0
@@ -285,9 +291,11 @@ class Replies(Reader):
         values = Values(float(speed) if abs(speed) >= STILL else 0.0, float(tachometer), decivolts / 10)
         one = BEHIND if bytes((can_id,)) == self._other else LOCAL
         self._wrong[one] = WRONG.get(fault, SERVO_OTHER)
+        before, self._faults[one] = self._faults.get(one, 0), fault
+        released = [Restarted(f"controller {one} released its motor (fault {fault})")] if fault and not before else []
         if mask & _HEAT:
             self._heat[one] = max(0, min(heat[0] // 10, 255))
-        found = self._paired(mask, values, one)
+        found = released + self._paired(mask, values, one)
         due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
         if due or self._wrong != self._last_report:
             self._last_report = dict(self._wrong)
@@ -327,4 +335,7 @@ class Replies(Reader):
         self._answers += 1
         volts = min(values.volts for values in every)
         speeds, positions = tuple([values.speed for values in every]), tuple([values.position for values in every])
-        return [Wheels(speeds, positions), Battery(volts), Answer(str(MASKS.index(mask)))]
+        told: list[Sample] = [Wheels(speeds, positions), Battery(volts)]
+        if any(fault not in (0, UNDER_VOLTAGE) for fault in self._faults.values()):
+            return told
+        return [*told, Answer(str(MASKS.index(mask)))]

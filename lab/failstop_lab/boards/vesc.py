@@ -127,6 +127,7 @@ class Motor:
         self.rolls_free = True
         """By its own timeout, or a current of zero: nothing brakes it."""
         self.fault = 0
+        """While it has a fault, it drops every command for its motor, and its motor rolls. It answers all the same."""
         self.late = False
         """By the last run of the thread of the timeouts: its timeout is over."""
 
@@ -215,6 +216,10 @@ class Vesc(OneByOne):
         command, data = payload[0], payload[1:]
         if command in PER_UNIT or command in (BRAKE, HANDBRAKE):
             motor.fed_ns = at_ns
+            if motor.fault:
+                motor.speed, motor.rolls_free = 0.0, True
+                self.commanded(self.motors.index(motor), at_ns)
+                return
             value = int.from_bytes(data[:4].ljust(4, b"\0"), "big", signed=True) * PER_UNIT.get(command, 0.0)
             motor.rolls_free = command in (CURRENT, CURRENT_SHARE) and not value
             motor.speed = 0.0 if command == RPM and abs(value) < self.least_erpm else value

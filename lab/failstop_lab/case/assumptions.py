@@ -91,7 +91,8 @@ ASSUMPTIONS = (
     ),
     Assumption(
         "ENCODER", "A wheel turns as fast as commanded, because its encoder reports its speed to the board.", "LIMIT-1",
-        "A motor without its encoder may turn at full speed. The IMU may notice it, and the power switch stops it.",
+        "A motor without its encoder may turn at full speed. If an `arduino` or a `ugv` counts nothing, failstop stops "
+        "after a second. Otherwise the IMU may notice it, and the power switch stops it.",
         "`failstop prove` on the robot", "on each robot, by its owner",
     ),
     Assumption(

@@ -76,6 +76,7 @@ NO_FAULT = {
     causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py)
     causes.DRIVER_SILENT,  # only where a setting asks for it (tests/procs/test_gate_sources.py)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
+    causes.UNCOUNTED,  # only boards that control by their counts (tests/procs/telemetry/test_runaway_service.py)
     causes.UNSTILL,  # comes after the stop of another row
     causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_stop_tracker.py)
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)

@@ -142,7 +142,39 @@ def test_after_a_latched_stop_that_was_seen_still_no_contactor_opens(kind: str) 
     assert simulated.robot.state.cause.kind is causes.REQUESTED
 
 
-@every_reporter
+BY_COUNTS = ("arduino", "ugv")
+"""Boards that control the wheels' speeds by the counts that they report."""
+
+
+@pytest.mark.claim("RUNAWAY-1")
+@pytest.mark.parametrize("kind", BY_COUNTS)
+def test_wheels_that_a_board_does_not_count_stop_the_robot_and_are_never_said_to_be_still(kind: str) -> None:
+    """Such a board turns them at full power, and its counts stay as at rest."""
+    simulated = service(kind)
+    drives(simulated, kind)
+    simulated.board.lie(0.0)
+    fault_ns = simulated.now_ns()
+    simulated.drive(3.0, forward(kind))
+    cause = simulated.robot.state.cause
+    assert cause is not None
+    assert cause.kind is causes.UNCOUNTED
+    assert cause.named()["told"] == pytest.approx(told_rps(kind), abs=0.01)
+    assert (
+        1.0 - every_s(kind) <= (simulated.robot.state.last_stop.noticed_ns - fault_ns) / 1e9 < 1.8 + 2 * every_s(kind)
+    )
+    simulated.wait(3.0)
+    assert simulated.robot.state.last_stop.observed_s is None
+    assert simulated.robot.state.turning.does == "unknown"
+    assert "encoder" in simulated.printed("why")
+    simulated.board.lie(1.0)
+    simulated.board.roll(pushed_rps=0.4)
+    simulated.wait(1.0)
+    simulated.board.roll()
+    simulated.wait(1.0)
+    assert simulated.robot.state.turning.does == "still", "they are counted again"
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in BY_COUNTS])
 def test_a_wheel_that_stands_is_a_warning_and_no_stop(kind: str) -> None:
     simulated = service(kind)
     drives(simulated, kind)
