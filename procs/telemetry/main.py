@@ -31,7 +31,7 @@ from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
-from failstop.procs.telemetry.runaway import RAN_AWAY, UNCOUNTED, Finding, RunawayJudge, limits_of
+from failstop.procs.telemetry.runaway import NOT_COUNTED, RAN_AWAY, Finding, RunawayJudge, limits_of
 from failstop.procs.telemetry.scale import ScaleJudge
 from failstop.procs.telemetry.silence import Silence
 from failstop.procs.telemetry.state_files import StateFiles
@@ -155,6 +155,9 @@ class Telemetry:
         """The turns of the wheels when one of them was found not to be counted, until a count changes. Otherwise
         empty."""
         self._measured = Measured(self._board.reports, self._board.most_rps)
+        coarse = self._board.reports.own_scale and self._board.reports.apart_ns > 0
+        self._each = Measured(self._board.reports, self._board.most_rps, summed=True) if coarse else self._measured
+        """The same with a speed from every report, for the scale, which sums the speeds up."""
         self._fact = WheelFact(settings.ns("still.after_s"))
         self._way = Way(self._board.reports)
         self._unasked = Unasked(settings.ns("still.after_s"))
@@ -423,6 +426,8 @@ class Telemetry:
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         is_new = self._measured.add(speeds, positions, t_ns)
+        if self._each is not self._measured:
+            self._each.add(speeds, positions, t_ns)
         self._odometry.roll(self._measured)
         if is_new:
             measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
@@ -442,7 +447,7 @@ class Telemetry:
         told, seen = round(sign * found.told_rps, 2) + 0.0, round(sign * found.seen_rps, 2) + 0.0
         if found.what == RAN_AWAY:
             self._raise(causes.RUNAWAY(name, told, seen))
-        elif found.what == UNCOUNTED:
+        elif found.what == NOT_COUNTED:
             self._uncounted = self._measured.turns
             self._raise(causes.UNCOUNTED(name, told))
         else:
@@ -483,7 +488,7 @@ class Telemetry:
     def _compare_speeds(self, now_ns: int) -> None:
         """Compare the measured speeds with the commanded ones. A difference is logged only once for each level
         (warning, info)."""
-        measured, judge = self._measured, self._scale
+        measured, judge = self._each, self._scale
         turns = self._gyro.calibrated and now_ns - self._turn_ns <= TURN_RATE_NS
         turn_radps = self._turn_radps if turns else None
         changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)

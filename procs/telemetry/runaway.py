@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Told = tuple[float, ...]
 
-RAN_AWAY, STANDS, UNCOUNTED = "ran away", "stands", "is not counted"
+RAN_AWAY, STANDS, NOT_COUNTED = "ran away", "stands", "is not counted"
 
 LAG_NS = 300_000_000
 """How long after a new command the wheels may still do what was commanded before. It covers the time until the command
@@ -48,8 +48,8 @@ STANDS_MPS = 0.02
 """A commanded speed below this may be too low to move the wheel."""
 UNCOUNTED_NS = 1_000_000_000
 """A wheel that is not counted for this long (in ns), and for so many commanded turns that its encoder should have had
-LEAST_COUNTS, has a dead encoder or is blocked."""
-LEAST_COUNTS = 5.0
+LEAST_UNCOUNTED counts, has a dead encoder or is blocked."""
+LEAST_UNCOUNTED = 5.0
 SELDOM_NS = 1_000_000_000
 """A board that reports less often than this, or whose description does not say how often it reports, is not judged."""
 
@@ -122,7 +122,7 @@ class Finding(Data):
     uses."""
 
     what: str
-    """RAN_AWAY, STANDS or UNCOUNTED."""
+    """RAN_AWAY, STANDS or NOT_COUNTED."""
     wheel: int
     """The wheel's id on the wire."""
     told_rps: float
@@ -311,7 +311,7 @@ class RunawayJudge:
             return False
         wheel.uncounted += told * elapsed_ns * 1e-9
         wheel.uncounted_ns += elapsed_ns
-        return wheel.uncounted_ns >= UNCOUNTED_NS and wheel.uncounted * self._limits.counts >= LEAST_COUNTS
+        return wheel.uncounted_ns >= UNCOUNTED_NS and wheel.uncounted * self._limits.counts >= LEAST_UNCOUNTED
 
     def _gap_ns(self) -> int:
         """Return the longest allowed gap, in ns, between two reports of a wheel that turns too fast. After a longer
@@ -326,7 +326,7 @@ class RunawayJudge:
         told = max(lowest, -highest)  # the slowest commanded speed, if both have the same sign
         if self._limits.by_counts and self._uncounted(wheel, seen, told, span[1] - span[0]):
             wheel.uncounted, wheel.uncounted_ns = 0.0, 0
-            return Finding(UNCOUNTED, index, self._told[-1][1][index], seen)
+            return Finding(NOT_COUNTED, index, self._told[-1][1][index], seen)
         if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
             wheel.stands_ns, wheel.stand_noted = 0, False
             return None

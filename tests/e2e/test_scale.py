@@ -93,10 +93,11 @@ def test_a_scale_that_is_known_is_not_capped(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["hoverboard", "ugv"])
 @pytest.mark.parametrize("too_large", FACTORS)
 def test_the_first_drive_tells_by_reports_of_their_own(too_large: float, kind: str) -> None:
-    """A hoverboard sets a voltage, so what a slope may explain is no warning there."""
+    """A hoverboard sets a voltage, so what a slope may explain is no warning there. A UGV reports whole centimetres, so
+    a difference of a third shows only after two seconds."""
     simulated = Simulated(scaled(kind, too_large, confirmed=True), kind=kind)
     simulated.robot.enable()
-    driven(simulated, 0.2)
+    driven(simulated, 0.2, seconds=2.0 if kind == "ugv" else 1.0)
     found: Any = simulated.robot.state.scale
     (said,) = found.wrong + found.remarks
     assert "times as fast as they are told, as the board reports them" in said

@@ -280,7 +280,9 @@ def wheels_found(
 
         def drive(self, velocity: tuple[float, float, float], _seconds: float) -> None:
             if self._alone:
-                driven, commanded = int(velocity[2] > 0), wheels.RPS * board.reports.speed_per_rps
+                reports = board.reports
+                driven = int(velocity[2] > 0)
+                commanded = wheels.RPS * (reports.speed_per_rps or reports.position_per_turn)
                 self.turned = {driven: left[0][1] * commanded, 1 - driven: -NOISE * commanded}
                 # What rests makes noise, and is the fastest wheel if the board does not measure the driven one.
                 self.ratio = max(left[0][1], NOISE)

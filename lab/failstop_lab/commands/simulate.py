@@ -150,7 +150,7 @@ def main(arguments: Namespace) -> int:
     return _report(
         total,
         time.monotonic() - begun_s,
-        coverage.missing(total.marks, traits) if whole else [],
+        coverage.unreached(total.marks, traits) if whole else [],
         told_marks=arguments.marks,
     )
 

@@ -58,7 +58,7 @@ ROOMS = {
     "procs": Room("the four other processes", "board files messages policy shm"),
     "policy": Room("settings, causes, the process table, kinematics: pure", "board messages"),
     "messages": Room("the records that processes exchange", "files shm"),
-    "board": Room("the wire and the port", ""),
+    "board": Room("the wire and the port", "files"),
     "shm": Room("shared memory, futexes and lifelines", "files"),
     "helpers": Room("the Python processes that a command starts", ""),
     "notify": Room("datagrams for the service manager", ""),

@@ -188,7 +188,7 @@ def claims_of(name: str) -> tuple[str, ...]:
     return next((claims for pattern, claims in CLAIMS if re.fullmatch(pattern, name)), ())
 
 
-def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
+def unreached(counts: Mapping[str, int], traits: Traits) -> list[str]:
     """The marks that this board can reach and that were not reached."""
     beyond = NOT_TRIED.keys() | {name for name, part in OF_PARTS.items() if part not in traits.parts}
     return [name for name in names() if not counts.get(name) and name not in beyond]

@@ -183,7 +183,7 @@ def by_with(robot: Failstop, error: BaseException) -> None:
 
 
 @pytest.mark.parametrize("end", [in_a_finally, by_with])
-@pytest.mark.parametrize(("error", "died"), [(RuntimeError, True), (KeyboardInterrupt, False), (SystemExit, False)])
+@pytest.mark.parametrize(("error", "died"), [(RuntimeError, True), (KeyboardInterrupt, False), (SystemExit, True)])
 def test_a_run_that_an_exception_ends_is_a_crash(
     trial: ArmTrial, make: Any, end: Any, error: type[BaseException], died: bool
 ) -> None:

@@ -21,7 +21,7 @@ LEFT_OUT = {
     "failstop.procs.starved": {"starved"},
     "failstop.shm.thread_state": set[str](),
     "failstop.board.own": {"LIMIT_S", "SAYS"},
-    "failstop.helpers": {"python", "search_path"},
+    "failstop.helpers": {"import_elsewhere", "python", "search_path"},
 }
 """Names of these modules that the service uses nowhere but in themselves."""
 
