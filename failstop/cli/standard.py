@@ -63,8 +63,8 @@ class Printer:
 
     def done(self) -> None:
         """Wait until everything is printed."""
-        self._texts.put(None)
         if self._ended:
+            self._texts.put(None)
             self._ended.acquire()
 
     def _print(self, ended: _thread.LockType) -> None:
@@ -93,10 +93,14 @@ def never_waiting() -> Iterator[None]:
 def say(text: str) -> None:
     """Print a line on standard error, wrapped at spaces on a terminal. Never raises, so that a full disk or a closed
     terminal does not end the command."""
+    _by_printer(_say, text)
+
+
+def _by_printer(prints: Callable[[str], None], text: str) -> None:
     if _printer:
-        _printer.put(_say, text)
+        _printer.put(prints, text)
     else:
-        _say(text)
+        prints(text)
 
 
 def _say(text: str) -> None:
@@ -109,10 +113,7 @@ def _say(text: str) -> None:
 
 def print_line(text: str) -> None:
     """Print a line on standard output, or on standard error if standard output can't be written. Never raises."""
-    if _printer:
-        _printer.put(_print_line, text)
-    else:
-        _print_line(text)
+    _by_printer(_print_line, text)
 
 
 def _print_line(text: str) -> None:

@@ -80,7 +80,7 @@ def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
         owners = {0, os.geteuid(), found.st_uid if by_root else 0, base.st_uid if base else 0}
         if found.st_uid not in owners:
             raise Untrusted(path, f"belongs to {user(found.st_uid)}: not trusted; remove it, or run as that user")
-        if found.st_mode & _BY_OTHERS and (base or not found.st_mode & stat.S_ISVTX):
+        if by_others(found, on_the_way=base is None):
             mode = stat.S_IMODE(found.st_mode)
             raise Untrusted(path, f"may be written by others (mode {mode:04o}): chmod go-w {path}")
     except BaseException:

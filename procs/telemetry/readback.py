@@ -14,7 +14,7 @@ AT_REST = 1e-6
 """A speed below this counts as zero, in any unit."""
 READS_APART_NS = 40_000_000
 """Two reports of positions that are closer together than this, in ns, are never compared, because a slow wheel may have
-the same position in both. If one count is much, the time is longer (WheelReports.apart_ns)."""
+the same position in both. If a wheel goes far in one count, the time is longer (WheelReports.apart_ns)."""
 
 
 class ReadBack:

@@ -104,7 +104,6 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
         return None
     margins = HOLDS_SPEED if reports.holds_speed else SETS_VOLTAGE
     counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
-    apart_ns = reports.apart_ns if counts else 0
     return Limits(
         every_ns=reports.judged_ns,
         share=margins.share,
@@ -112,7 +111,7 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
         counts=counts,
         braking_rps2=settings["limits.braking_mps2"] / rim_m,
         told_rps=STANDS_MPS / rim_m + 2 * board.step_rps,
-        apart_ns=max(reports.every_ns // 4, apart_ns),
+        apart_ns=max(reports.every_ns // 4, reports.apart_ns),
         by_counts=reports.holds_speed and counts > 0,
     )
 
@@ -150,8 +149,7 @@ class _Wheel:
 
     def __init__(self) -> None:
         self.beyond_ns = self.last_ns = self.rolls_ns = self.reports = self.second_ns = self.side = self.stands_ns = 0
-        self.uncounted, self.uncounted_ns = 0.0, 0
-        """How many turns were commanded at least since the wheel was last counted, and in how many ns."""
+        self.counted()
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
@@ -160,6 +158,10 @@ class _Wheel:
         the later reports."""
         self.stand_noted = False
         """True if it was already reported that the wheel stands still."""
+
+    def counted(self) -> None:
+        self.uncounted, self.uncounted_ns = 0.0, 0
+        """How many turns were commanded at least since the wheel was last counted, and in how many ns."""
 
     def within(self) -> None:
         self.beyond_ns, self.before_rps = 0, 0.0
@@ -231,7 +233,7 @@ class RunawayJudge:
         for index, wheel in self._wheels.items():
             wheel.before_rps = max(wheel.before_rps, self._fastest(index))
             wheel.beyond_ns = wheel.stands_ns = 0
-            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
+            wheel.counted()
             wheel.stand_noted = False
         self._told.clear()
         self._moves = False
@@ -307,7 +309,7 @@ class RunawayJudge:
     def _uncounted(self, wheel: _Wheel, seen: float, told: float, elapsed_ns: int) -> bool:
         """Count how long a wheel has not been counted. Returns True if it is too long."""
         if seen or told < self._limits.told_rps:
-            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
+            wheel.counted()
             return False
         wheel.uncounted += told * elapsed_ns * 1e-9
         wheel.uncounted_ns += elapsed_ns
@@ -325,7 +327,7 @@ class RunawayJudge:
         lowest, highest, _ = bounds
         told = max(lowest, -highest)  # the slowest commanded speed, if both have the same sign
         if self._limits.by_counts and self._uncounted(wheel, seen, told, span[1] - span[0]):
-            wheel.uncounted, wheel.uncounted_ns = 0.0, 0
+            wheel.counted()
             return Finding(NOT_COUNTED, index, self._told[-1][1][index], seen)
         if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
             wheel.stands_ns, wheel.stand_noted = 0, False

@@ -35,7 +35,7 @@ LONGEST_SILENCE_NS = 500_000_000
 meanwhile."""
 SAME_READ_NS = 5_000_000
 """Reports that are closer together than this came in one read, so the time between them says nothing about speed. If
-one count of a position is much, the time is longer (WheelReports.apart_ns)."""
+a wheel goes far in one count, the time is longer (WheelReports.apart_ns)."""
 _AT_ONCE_NS = 250_000_000
 """If a counter has started again at zero, its first report may come up to this much later, in ns."""
 

@@ -397,7 +397,7 @@ def test_a_stick_that_nobody_would_see_is_no_right_file(file: Path, capsys: pyte
 
 
 def test_a_file_that_others_may_write_is_no_right_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A service starts with it all the same: a robot must not stand still after an upgrade."""
+    """A service still starts with it: a robot must not stand still after an upgrade."""
     file.write_text('still.command = "relay off"\n')
     file.chmod(0o666)
     code, out, err = run(capsys, "config", "--check", str(file))

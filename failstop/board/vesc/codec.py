@@ -258,7 +258,7 @@ class Replies(Reader):
         """What is wrong with each controller, as a sum of SERVO_ bits (wire.py), by the controller's id in reports."""
         self._faults: dict[int, int] = {}
         """The fault code of each controller. For 0.5 s after a fault, a controller ignores all commands for its motor,
-        and answers all the same (mc_interface.c, mc_interface_fault_stop). So such an answer is no sign that it has
+        but still answers questions (mc_interface.c, mc_interface_fault_stop). So such an answer is no sign that it has
         executed a stop. UNDER_VOLTAGE is left out: a controller without a battery has it all the time."""
         self._last_report: dict[int, int] = {}
         """The value of _wrong in the last report."""

@@ -127,7 +127,7 @@ class Motor:
         self.rolls_free = True
         """By its own timeout, or a current of zero: nothing brakes it."""
         self.fault = 0
-        """While it has a fault, it drops every command for its motor, and its motor rolls. It answers all the same."""
+        """While it has a fault, it drops every command for its motor, and its motor rolls. It still answers."""
         self.late = False
         """By the last run of the thread of the timeouts: its timeout is over."""
 
