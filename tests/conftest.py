@@ -35,6 +35,10 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.getoption("quick") else "failstop")
     if config.getoption("quick"):
         sys.addaudithook(_refuse)
+        # matplotlib starts a process only where it has kept no list of fonts: on every machine it shall be the same.
+        fonts = tempfile.TemporaryDirectory()
+        config.add_cleanup(fonts.cleanup)
+        os.environ["MPLCONFIGDIR"] = fonts.name
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

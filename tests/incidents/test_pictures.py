@@ -211,6 +211,7 @@ def test_a_file_whose_name_is_no_text_is_drawn_and_shown(incident: Incident, tmp
     assert str(files.IncidentError("a\x1b[2J")) == r"a\x1b[2J"
 
 
+@pytest.mark.starts  # matplotlib asks fc-list for fonts
 def test_a_picture_of_next_to_nothing_and_one_that_fails(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     made = Recorder()
