@@ -155,7 +155,9 @@ class Described(Board):
         self.scale_assumed = False
         self.name, self.port = wire.name, wire.port.at(baud) if baud else wire.port
         self.other_bauds = tuple(each for each in (wire.port.baud, *wire.other_bauds) if each != self.port.baud)
-        self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
+        # Never 0, so that frames wait until the line has sent those before them. An adapter takes bytes faster than its
+        # line sends them and tells nobody how many are left, and a stop would have to wait for all of them.
+        self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns, 1)
         self.after_ns = wire.stop.after_ns
         self.repeats_ns = tuple(row[1:] for row in wire.stop.repeats_ns)
         self.stop = wire.motion.rest

@@ -202,8 +202,8 @@ class Board:
     """How the board's serial port is set up, and how long the board hears nothing after the port was opened. Also the
     frames that are written first after this time. Motion can't be enabled until these frames were written."""
     idle_ns: int
-    """How long the line must be silent between a write and the next frame that is not a stop, in ns. 0 if frames may
-    follow each other without a gap. A stop does not wait for this."""
+    """How long the line must be silent between a write and the next frame that is not a stop, in ns. 0 if frames may be
+    handed to the kernel while others are on their way. A stop does not wait for this."""
     after_ns: int
     """How long a process must keep the line silent after its stop, in ns, even before its own next stop. If this is 0,
     stops may follow each other without a gap. Otherwise the board may lose a stop, so after motion the wheels count as

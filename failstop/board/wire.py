@@ -95,7 +95,8 @@ class Pace(Data):
     """When frames other than stops may be written."""
 
     idle_ns: int
-    """How long the line must be silent before a frame other than a stop, in ns."""
+    """How long the line must be silent before a frame other than a stop, in ns. Even if this is 0, such a frame waits
+    until the line has sent everything before it."""
     unanswered: int | None
     """How many frames may wait for the board's answer at the same time. None means any number."""
 
