@@ -189,6 +189,7 @@ class PortOwner:
         """Write the stop of the wheels again, without a cause and without stopping the arm. While the line must be
         silent, write nothing, because the next zero frame stops the wheels too."""
         if self.wire.free_ns <= monotonic_ns():
+            self.motion_writer.disarm()
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
@@ -367,16 +368,22 @@ class PortOwner:
         """Decide about a motion frame, and write it if it is admitted. While the line must be silent, hold the frame
         and decide later."""
         now_ns = monotonic_ns()
-        if self.wire.free_ns > now_ns:
-            self._held = motion
-            self._line.set(self.wire.free_ns)
+        if self._waits_for_line(motion, now_ns):
             return
         verdict = self._decide(motion, now_ns, self.admission)
-        if verdict == admission.ADMIT:
-            if self.admission.wheels_move or self.motion_writer.arm():
-                self._write_motion(motion)
-        else:
+        if verdict != admission.ADMIT:
             self._refuse(verdict, now_ns)
+        # The frame that sets the watchdog is sent before the first motion is written: a stop would wait for both.
+        elif self.admission.wheels_move or (self.motion_writer.arm() and not self._waits_for_line(motion, now_ns)):
+            self._write_motion(motion)
+
+    def _waits_for_line(self, motion: DatedFrame, now_ns: int) -> bool:
+        """Hold a motion frame until the line has been silent. Returns False if it is silent already."""
+        if self.wire.free_ns <= now_ns:
+            return False
+        self._held = motion
+        self._line.set(self.wire.free_ns)
+        return True
 
     def _pop_held(self) -> DatedFrame | None:
         """Return the motion frame that waits for the line, or None, and stop waiting for it."""
@@ -458,10 +465,12 @@ class PortOwner:
                 self._stop_again()
             elif due == REFRESH:
                 self.repeats.end()
-        elif due == REPEAT and self.wire.burst():
-            self._moving_word.set(0)
-        elif due == REFRESH:
-            self.wire.frame(self.board.refresh)
+        elif due:
+            self.motion_writer.disarm()
+            if due == REFRESH:
+                self.wire.frame(self.board.refresh)
+            elif self.wire.burst():
+                self._moving_word.set(0)
 
 
 def run(context: Context) -> int:

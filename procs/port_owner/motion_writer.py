@@ -15,6 +15,7 @@ class MotionWriter:
     def __init__(self, context: Context, wire: PortWriter, port: OpenPort) -> None:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word = context.own.word("told_ns")
+        self._armed = False
         self.turning = False
         """True if the last command to the wheels was to turn, and no stop was written after it."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
@@ -30,17 +31,25 @@ class MotionWriter:
 
     def stopped(self) -> None:
         """Record that a stop was written."""
+        self.disarm()
         if self.turning:
             self._since(0)
 
+    def disarm(self) -> None:
+        """The next motion is the first one after a stop."""
+        self._armed = False
+
     def arm(self) -> bool:
-        """Set the board's own watchdog. Call it before the first motion after a stop, because the board may have
-        restarted since its watchdog was last set. Returns False if the port does not accept the frame."""
-        return not self._board.arming or self._wire.frame(self._board.arming)
+        """Set the board's own watchdog, unless that was done since the last stop. Call it before the first motion after
+        a stop, because the board may have restarted since its watchdog was last set. Returns False if the port does not
+        accept the frame."""
+        if not self._armed:
+            self._armed = not self._board.arming or self._wire.frame(self._board.arming)
+        return self._armed
 
     def write(self, frame: bytes, now_ns: int, *, first: bool) -> bool:
-        """Write a motion frame. `first`: True for the first motion frame after a stop, which follows directly after
-        arm(). Returns False if the port does not accept the frame."""
+        """Write a motion frame. `first`: True for the first motion frame after a stop, which follows after arm().
+        Returns False if the port does not accept the frame."""
         turns = frame != self._board.stop
         if not turns:
             self.stopped()

@@ -56,10 +56,19 @@ def at_rest_after_motion(kind: str) -> tuple[Scene, tuple[int, ...]]:
     scene.turn()
     writes(scene, 6050 * MS)
     scene.owner.port.pings.wait(scene.clock() + 6000 * MS)
-    assert motion(scene) in scene.forward(motion(scene))
+    first_motion(scene)
     writes(scene, 100 * MS)
     assert scene.forward(scene.board.stop) == scene.board.stop
     return scene, scene.board.repeats_ns[PORT_OWNER_ROW]
+
+
+def first_motion(scene: Scene) -> None:
+    """The first motion after a stop, which waits until the line has sent what sets the watchdog."""
+    wrote = scene.forward(motion(scene))
+    if scene.board.arming:
+        assert wrote.endswith(scene.board.arming)
+        wrote = scene.turn(len(scene.board.arming) * scene.board.port.byte_ns + scene.board.idle_ns)
+    assert wrote.endswith(motion(scene))
 
 
 def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
@@ -114,7 +123,7 @@ def test_it_says_that_it_moves_until_its_stop_can_not_be_lost(kind: str) -> None
     scene.turn()
     scene.turn(6000 * MS)
     writes(scene, 150 * MS)
-    assert motion(scene) in scene.forward(motion(scene))
+    first_motion(scene)
     assert scene.word("moving") == 1
     scene.raise_epoch(2)
     assert scene.turn(TICK // 2).startswith(scene.board.burst)
@@ -333,10 +342,34 @@ def test_the_board_s_own_watchdog_is_set_before_the_first_motion_of_each_enable(
         scene.raise_epoch(epoch)
         scene.turn()
         writes(scene, 10 * MS)
-        written = scene.forward(motion(scene), epoch=epoch)
-        assert written.index(scene.board.arming) < written.index(motion(scene))
-        writes(scene, 10 * MS)
+        assert scene.forward(motion(scene), epoch=epoch) == scene.board.arming
+        sent_ns = len(scene.board.arming) * scene.board.port.byte_ns + scene.board.idle_ns
+        assert writes(scene, 10 * MS) == [(sent_ns, motion(scene))], "a stop would wait for both"
         assert scene.forward(motion(scene), epoch=epoch) == motion(scene), "once is enough"
+
+
+@pytest.mark.parametrize("kind", ["damiao", "ugv"])
+@pytest.mark.parametrize("by", ["a repeat", "telemetry"])
+def test_what_set_the_watchdog_before_a_stop_is_written_again_after_it(kind: str, by: str) -> None:
+    """Such a stop switches a Damiao motor off."""
+    scene = made(kind)
+    scene.turn()
+    writes(scene, 6000 * MS)
+    scene.owner.port.pings.wait(scene.clock() + 6000 * MS)
+    scene.raise_epoch(2)
+    scene.turn()
+    writes(scene, 10 * MS)
+    assert scene.forward(motion(scene), epoch=2) == scene.board.arming
+    if by == "a repeat":
+        scene.put(b"", kind=records.WRITE_BURST, epoch=2)  # the gate does not want it any more
+        assert scene.turn() == b""
+        assert writes(scene, scene.board.repeats_ns[PORT_OWNER_ROW][0])[-1][1] == scene.board.burst
+    else:
+        scene.clock.now_ns += len(scene.board.arming) * scene.board.port.byte_ns + scene.board.idle_ns
+        scene.views[layout.TELEMETRY].ring_writer("causes").put(b"")
+        assert scene.turn() == scene.board.burst
+    wrote = scene.forward(motion(scene), epoch=2) + b"".join(data for _, data in writes(scene, 20 * MS))
+    assert wrote == scene.board.arming + motion(scene)
 
 
 def test_the_first_motion_goes_behind_the_setting_of_the_watchdog_and_the_next_behind_a_ping_alone() -> None:
@@ -349,7 +382,8 @@ def test_the_first_motion_goes_behind_the_setting_of_the_watchdog_and_the_next_b
     writes(scene, 100 * MS)
     ping = len(scene.board.pings[0])
     scene.wire.port.drains = False
-    assert scene.forward(motion(scene), epoch=2) == scene.board.arming + motion(scene)
+    assert scene.forward(motion(scene), epoch=2) == scene.board.arming
+    assert [data for _, data in writes(scene, 10 * MS)] == [motion(scene)]
     scene.wire.port.drains = True
     for more, written in ((0, motion(scene)), (1, b"")):
         scene.wire.port.under_way = 0
