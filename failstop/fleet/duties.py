@@ -20,10 +20,13 @@ if TYPE_CHECKING:
     from failstop.fleet.replay import Seen
 
 FOLLOWED_S = 6.0
-"""How long the robot watches the progress of a stop, in seconds. After this time, no further proofs of the stop are
-expected."""
+"""How long the robot expects further proofs of a stop, in seconds."""
+WATCHED_S = 3600.0
+"""How long the robot tells the sender if something contradicts a stop that it has confirmed, in seconds. This is the
+longest time for which a sender waits."""
 OWED_S = 60.0
-"""How long the robot waits for the next run of its service, in seconds, if the run that was asked to stop has ended.
+"""How long the robot waits for the next run of its service, in seconds, if the run that was asked to stop has ended
+while proofs were expected.
 The next run is then asked too, because a latched stop ends with its run. After this time, only the sender's next repeat
 asks again."""
 AGAIN_EVERY_S = 0.25
@@ -61,11 +64,14 @@ class Duty:
         self._epoch = before.epoch if before else 0
         self._latched = before.cause if before else None
         self._was_latched = self._reset = False
+        self._owes = False
+        """True if the run that was asked to stop has ended while proofs were expected."""
 
     def look(self, state: State | None, now_s: float, run: str) -> bool:
         """Find out from the service's state which levels the stop has reached, and whether anything contradicts them.
         Returns True if the robot's answer has changed. `run`: the run that has this state, or empty."""
         before = self._gist()
+        self._owes = self.owed(now_s, run) or (not run and self._expects(now_s))
         self.lost = (run != self._run or not run) and not self._reset
         if self.lost:
             self.why = ENDED if self._run else ""
@@ -120,19 +126,23 @@ class Duty:
 
     def followed(self, now_s: float) -> bool:
         """Return True while this stop must be looked at."""
-        return now_s - self._since_s <= (OWED_S if self.lost else FOLLOWED_S)
+        return now_s - self._since_s <= WATCHED_S
+
+    def _expects(self, now_s: float) -> bool:
+        """Return True while further proofs, or the next run of the service, are expected."""
+        return now_s - self._since_s <= (OWED_S if self._owes else FOLLOWED_S)
 
     def open(self, now_s: float) -> bool:
         """Return True while the answer to this stop will change soon: until the stop has all the proofs that this robot
         can give, or while it must be requested from the next run."""
         observed = levels.OBSERVED in self.reached or not self.observes
         complete = observed and {levels.WRITTEN, levels.ACKNOWLEDGED} <= set(self.reached)
-        return self.followed(now_s) and (self.lost or not complete)
+        return self._expects(now_s) and (self.lost or not complete)
 
-    def owed(self, run: str) -> bool:
+    def owed(self, now_s: float, run: str) -> bool:
         """Return True if the stop must be requested from this run of the service, because the run that was asked has
         ended. False after a person has reset the stop."""
-        return run not in ("", self._run) and not self._reset
+        return self._expects(now_s) and run not in ("", self._run) and not self._reset
 
 
 def confirming(state: State, stop: Stop) -> str:
@@ -242,7 +252,7 @@ class Duties:
     def owed(self, now_s: float, run: str) -> list[Order]:
         """Return the stops that must be requested from this run of the service, because the run that was asked has
         ended (see Duty.owed()). Call this before look()."""
-        return [duty.order for duty in self._kept(now_s) if duty.owed(run)]
+        return [duty.order for duty in self._kept(now_s) if duty.owed(now_s, run)]
 
     def look(self, state: State | None, now_s: float, run: str) -> list[StopAnswer]:
         """Return the answers that must be sent now: one for each stop whose answer has changed, or that was not

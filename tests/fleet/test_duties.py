@@ -275,6 +275,32 @@ def test_the_next_run_is_not_asked_if_it_comes_much_later_unless_the_sender_stil
     assert repeat(robot, duties.OWED_S + 1)[0] is not None
 
 
+@pytest.mark.parametrize("later_s", [duties.FOLLOWED_S + 1, duties.WATCHED_S - 1])
+def test_a_confirmation_is_taken_back_however_long_the_sender_waits(robot: Duties, later_s: float) -> None:
+    begin(robot, order())
+    proved = stopped(written_s=2e-4, acknowledged_s=4e-3, observed_s=0, **WHEELS)
+    look(robot, proved, 0.9)
+    assert look(robot, proved, later_s) == []
+    (answer,) = look(robot, dataclasses.replace(proved, turning=states.TURNS_ON), later_s + 0.2)
+    assert "turn" in answer.why
+    (answer,) = look(robot, proved, later_s + 0.4)
+    assert answer.why == ""
+    assert not robot.busy(later_s)
+
+
+def test_a_latch_that_ends_later_takes_the_confirmation_along_and_the_sender_asks_the_next_run(robot: Duties) -> None:
+    """The publisher does not: who restarts a service ten minutes after a stop wants to go on."""
+    later_s = 600.0
+    begin(robot, order())
+    look(robot, stopped(written_s=2e-4, acknowledged_s=4e-3, observed_s=0, **WHEELS), 0.9)
+    (answer,) = look(robot, None, later_s, run="")
+    assert answer.why == duties.ENDED
+    assert robot.owed(later_s, NEXT_RUN) == []
+    assert look(robot, states.state(epoch=1), later_s + 0.2, NEXT_RUN) == []
+    assert not robot.busy(later_s + 0.2)
+    assert repeat(robot, later_s + 1.0)[0] is not None
+
+
 def test_where_it_is_not_known_which_run_was_asked_the_next_one_that_is_seen_is_asked_too(robot: Duties) -> None:
     begin(robot, order(), before=None, run="")
     assert told(look(robot, None, 0.1, run="")) == [[levels.ASKED]]
