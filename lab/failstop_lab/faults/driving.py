@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
+from failstop.policy.causes import Cause
 from failstop_lab.trial import COMMAND_EVERY_S, TrialError
 
 INTERLOCK = "arm"
@@ -29,6 +30,9 @@ class Driver:
         self.sensed_ns = self.held_ns = self.commanded_ns = 0
         self.each: Callable[[], None] = lambda: None
         """Called with every command."""
+        self.may_reset: Callable[[Cause | None], None] = lambda cause: None
+        """Called before motion is enabled, with the cause that would be reset for that; raises a TrialError if neither
+        may happen."""
         self._robot: Robot | None = None
 
     @property
@@ -96,6 +100,7 @@ class Driver:
         with contextlib.suppress(FailstopError):
             self.robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         refusal = ""
+        forbidden: list[TrialError] = []
 
         def hold(_: str = "") -> None:
             self.robot.assert_interlocks(*self._interlocks)
@@ -105,8 +110,14 @@ class Driver:
             nonlocal refusal
             try:
                 hold()
-                if self.robot.state.estop:
-                    self.robot.reset()
+                state = self.robot.state
+                try:
+                    self.may_reset(state.cause)
+                except TrialError as error:
+                    forbidden.append(error)
+                    return True
+                if state.estop:
+                    self.robot.reset(seen=state.epoch)
                 self.robot.enable(hold)  # an arm's way to its drive pose takes longer than an interlock's time
             except Refused as error:
                 refusal = f"refused: {error}"
@@ -120,4 +131,6 @@ class Driver:
             self.until("motion to be enabled", enabled)
         except TrialError as error:
             raise TrialError(f"{error}: {refusal or 'no answer'}") from None
+        if forbidden:
+            raise forbidden[0]
         self.commands = True

@@ -21,6 +21,7 @@ from failstop_lab.prove.arm_run import ArmRun
 from failstop_lab.prove.character import Restless, Unfit, WrongScale, characterize
 from failstop_lab.prove.frozen import FrozenRun
 from failstop_lab.prove.held import repeat
+from failstop_lab.prove.others import StoppedByOthers
 from failstop_lab.prove.report import Evidence
 from failstop_lab.prove.run import PathRun, Result
 from failstop_lab.prove.sight import Sight
@@ -127,11 +128,18 @@ def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -
 def _perform(
     stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
+    stand.others.begin(path.latched)
     if path.arm:
-        return ArmRun(stand, path, velocity, sight).perform()
-    assert sight
-    run = FrozenRun if path.kind == FROZEN else PathRun
-    return run(stand, sight, path, velocity, ask, chance).perform()
+        result = ArmRun(stand, path, velocity, sight).perform()
+    else:
+        assert sight
+        run = FrozenRun if path.kind == FROZEN else PathRun
+        result = run(stand, sight, path, velocity, ask, chance).perform()
+    try:
+        stand.others.check()
+    except StoppedByOthers as error:
+        result.over = str(error)
+    return result
 
 
 def _characterize(

@@ -22,6 +22,7 @@ from failstop.setup.halt import WAITS_S, Halt
 from failstop_lab.faults.driving import Driver
 from failstop_lab.prove.held import Held
 from failstop_lab.prove.means import Means, means_of
+from failstop_lab.prove.others import SAFE, Others
 from failstop_lab.prove.watch import Watch
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.stand import Stand
@@ -117,7 +118,9 @@ class ProveStand(Stand):
         super().__init__(service, driver, board)
         self.service.ready_s += self.language.port.deaf_ns / 1e9
         self.watch = Watch(device, self.language)
+        self.others = Others()
         self.driver.each = self.look
+        self.driver.may_reset = self.others.check
         self.held = Held(others=self._others)
         self._halt = Halt(device, self.language, _alarm)
         self._started = False
@@ -142,14 +145,19 @@ class ProveStand(Stand):
         self._started = True
         self.service.start()
         self.watch.attach(self.name)
+        self.others.attach(self.name)
 
     def let_go(self) -> None:
+        self.others.let_go()
         super().let_go()
         self.watch.let_go()
 
     def look(self) -> None:
-        """Take in what the board sent meanwhile."""
+        """Take in what the board sent meanwhile. Raises StoppedByOthers while the test commands."""
         self.watch.look(time.monotonic_ns())
+        self.others.look_now_and_then()
+        if self.others.why and self.driver.commands:
+            self.others.check()
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Let the driving client go on for a while, watching; True as soon as `until` is."""
@@ -174,7 +182,7 @@ class ProveStand(Stand):
         """Stop the wheels by every means, the quickest first, and find out whether they are stopped. `waits_s`: how
         long a port that is unplugged is waited for."""
         with contextlib.suppress(FailstopError):
-            self.ask("prove: safe")
+            self.ask(SAFE)
         self.end()
         return self._halt.now(SIM_WAITS_S if self.board else waits_s)
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from failstop_lab.prove import table
+from failstop_lab.prove.others import STRIKE
 from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import Path
 
@@ -36,7 +37,7 @@ def strike(path: Path, stand: ProveStand, ask: Ask | None) -> int:
         return _press(stand, ask)
     now_ns = time.monotonic_ns()
     if path.kind == table.STOP_REQUEST:
-        stand.ask("prove")
+        stand.ask(STRIKE)
     elif path.kind == table.DISABLING:
         driver.robot.disable()
     elif stand.service.process:
