@@ -202,8 +202,16 @@ class Pair(Guarded):
         # Many phones in one room may share this address, so a correct code must not use up the limit.
         self.page.pair_limit.give_back(address)
         secure = self.scheme == "https"
+        # max_age counts by the phone's clock. A robot without a clock of its own may start years behind it.
         self.set_cookie(
-            self.cookie, token, expires_days=YEAR_DAYS, httponly=True, secure=secure, samesite="Strict", path="/"
+            self.cookie,
+            token,
+            max_age=YEAR_DAYS * 86400,
+            expires_days=None,
+            httponly=True,
+            secure=secure,
+            samesite="Strict",
+            path="/",
         )
         found = self.page.devices.of(token)
         self.finish({"device": found.name if found else "", "key": lease.key_of(token).hex()})

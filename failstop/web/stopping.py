@@ -19,6 +19,9 @@ WRITTEN_S = 0.3
 LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
+KNOWN_NS = 60_000_000_000
+"""How long the id of a stop is known, in ns. A program that gives each of its stops the same id is obeyed again after
+this time."""
 REASON = "STOP on the page"
 
 
@@ -89,23 +92,29 @@ class Asked:
             asked_ns = self._ask(who, known)
         except FailstopError as error:
             return Request(time.time(), error=error)
-        first_ns = self._presses.setdefault(known.partition("-")[0], asked_ns) if known else asked_ns
-        if len(self._presses) > MOST_IDS:
-            del self._presses[next(iter(self._presses))]
+        first_ns = self._first(self._presses, known.partition("-")[0], asked_ns) if known else asked_ns
         return Request(time.time() - (time.monotonic_ns() - first_ns) / 1e9, asked_ns)
+
+    def _first(self, known: dict[str, int], identity: str, now_ns: int) -> int:
+        """Return when this id was first used in the last KNOWN_NS, which is `now_ns` if it is new. Keeps at most
+        MOST_IDS."""
+        first_ns = known.get(identity, 0)
+        if identity in known and now_ns - first_ns < KNOWN_NS:
+            return first_ns
+        known.pop(identity, None)
+        known[identity] = now_ns
+        if len(known) > MOST_IDS:
+            del known[next(iter(known))]
+        return now_ns
 
     def _ask(self, who: str, known: str) -> int:
         """Request a stop, unless a stop with this id was requested before. Returns the time of the first request
         (CLOCK_MONOTONIC, ns). Raises NoService, FailstopError."""
-        if known in self._ids:
-            return self._ids[known]
         asked_ns = time.monotonic_ns()
+        if known and asked_ns - self._ids.get(known, asked_ns - KNOWN_NS) < KNOWN_NS:
+            return self._ids[known]
         self._pipe.send(who)
-        if known:
-            self._ids[known] = asked_ns
-            if len(self._ids) > MOST_IDS:
-                del self._ids[next(iter(self._ids))]
-        return asked_ns
+        return self._first(self._ids, known, asked_ns) if known else asked_ns
 
 
 async def written(name: str, asked_ns: int) -> bool:

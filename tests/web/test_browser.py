@@ -238,6 +238,7 @@ def test_a_page_that_hears_nothing_shows_no_old_word(trial: Trial, web: Web, pai
     try:
         paired.until(f"{WORD} === 'NO CONTACT'", timeout_s=3)
         assert "Last known" in paired.text("#why")
+        assert paired.run("document.title") == "NO CONTACT - failstop"
     finally:
         os.kill(web.process.pid, signal.SIGCONT)
     paired.until(f"{WORD} !== 'NO CONTACT'")

@@ -111,6 +111,8 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None
     for word in (f"__Host-failstop-{web.name}=", "HttpOnly", "Secure", "SameSite=Strict", "Path=/"):
         assert word in cookie
     assert "Domain" not in cookie
+    assert "Max-Age=31536000" in cookie
+    assert "expires" not in cookie.lower(), "by the robot's clock, which may be years behind the phone's"
 
 
 def test_a_stolen_cookie_ends_with_its_device(web: Web) -> None:

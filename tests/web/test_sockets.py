@@ -109,6 +109,22 @@ def test_all_tries_of_one_touch_have_the_time_of_the_first_that_was_sent() -> No
     assert other.unix_s > first.unix_s + EQUAL_S
 
 
+def test_a_stop_with_the_same_id_is_sent_again_after_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody's own program may always send the same one."""
+    sent: list[str] = []
+    now_ns = [10**12]
+    monkeypatch.setattr(stopping, "time", SimpleNamespace(time=time.time, monotonic_ns=lambda: now_ns[0]))
+    asked = stopping.Asked(SimpleNamespace(send=sent.append))  # type: ignore[arg-type]
+    first = asked.ask("hmi", "x")
+    now_ns[0] += stopping.KNOWN_NS - 1
+    assert asked.ask("hmi", "x").asked_ns == first.asked_ns
+    assert len(sent) == 1
+    now_ns[0] += 1
+    again = asked.ask("hmi", "x")
+    assert (len(sent), again.asked_ns) == (2, now_ns[0])
+    assert again.unix_s == pytest.approx(time.time(), abs=5), "it is a press of its own"
+
+
 def test_a_device_that_was_revoked_stops_in_its_own_name_no_more(trial: Trial, web: Web) -> None:
     """It may stop as everybody may, also by a connection from before."""
     with Viewer(web, web.pair("Dora"), path=STOPS) as viewer:

@@ -198,6 +198,7 @@ function lost() {
   $("head").dataset.role = "lost";
   $("word").classList.add("long");
   text("word", "NO CONTACT");
+  document.title = "NO CONTACT - failstop";
   speak("NO CONTACT", "The page gets no news from the robot in time.");
   text("next", "STOP still tries to reach it. To be sure, use the POWER SWITCH.");
   text("since", "");
