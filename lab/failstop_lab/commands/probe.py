@@ -45,7 +45,9 @@ that drives them fail. The wheels may keep turning until the probe stops them.
   2. No person, hair, clothing, cable or tool is near the wheels.
   3. The POWER SWITCH is at hand.
 
-Ctrl-C stops the wheels. Type "{word}" to begin, or anything else to quit:"""
+Ctrl-C stops the wheels.{others}
+Type "{word}" to begin, or anything else to quit:"""
+DRIVES_ON = " `failstop stop` does not: the driver under test writes its speed again."
 LONGER = " (longer when you pull the plug: they may turn until you plug it in again)"
 ENDED_BY_PERSON = "interrupted"
 NEVER_TURNED = "no wheel was turned"
@@ -143,10 +145,10 @@ def _say(text: str) -> None:
     print("\n".join(map(style.plain, style_line)), file=sys.stderr, flush=True)
 
 
-def _consent(arguments: Namespace, count: int, longer: str = "") -> None:
+def _consent(arguments: Namespace, count: int, longer: str = "", others: str = "") -> None:
     if arguments.yes:
         return
-    style.warn(WARNING.format(seconds=15, count=count, longer=longer, word=WORD), end=" ")
+    style.warn(WARNING.format(seconds=15, count=count, longer=longer, others=others, word=WORD), end=" ")
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")
 
@@ -194,7 +196,7 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
     if doubt := serial.check_kind(arguments.port, arguments.board, arguments.baud):
         _say(f"This may not be {arguments.board}: {doubt}.")
     longer = LONGER if "plug" in names and sys.stdin.isatty() else ""
-    _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1, longer)
+    _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1, longer, DRIVES_ON)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
@@ -217,7 +219,7 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
 
 def _guarded(arguments: Namespace, board: Board, sent: bytes, probe: serial.SerialProbe, card: Card) -> int:
     """The second column; the exit code of its end, or 0."""
-    if probe.by == judge.PERSON:
+    if probe.by == judge.PERSON or probe.unjudged:
         card.ended = "the guard port was not measured, because the board's reports don't show whether its wheels turn"
         return 1
     _say("now the same through the guard port; a service starts ...")

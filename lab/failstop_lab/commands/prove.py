@@ -10,7 +10,7 @@ import random
 import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from failstop import config
@@ -53,6 +53,10 @@ ARM_WARNING = """\
 Nobody and nothing is in its reach.
 
 """
+INTERLOCKS_WARNING = """\
+THE TEST ITSELF ASSERTS YOUR INTERLOCKS: {names}. Make sure that they hold, because nothing else checks them.
+
+"""
 SAFETY = """\
 THIS TURNS THE WHEELS, at {fastest}, \
 and kills the programs that stop them: {count} runs, about {minutes:.0f} min.
@@ -64,7 +68,7 @@ The board is at {device}.
   4. You know that failstop is a protective stop by software, not an emergency \
 stop in the sense of ISO 13850.
 
-{arm}Ctrl-C stops everything at any time.
+{arm}{interlocks}Ctrl-C stops everything at any time.
 Type "{word}" to begin, or anything else to quit:"""
 
 
@@ -131,7 +135,7 @@ def main(arguments: Namespace) -> int:
             check_free(device, arguments.name)
             user = config.read(path)
             plans = _plans(arguments, user, only, at)
-            _ask_consent(device, plans)
+            _ask_consent(device, plans, tuple(driven(user).interlocks()))
             evidence = run_session(device, user, plans)
     # Before the result is printed, because standard output may be full or closed.
     paths, failed = saving.save_each(_saves(arguments, evidence))
@@ -187,12 +191,14 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return chosen[0], chosen[1]
 
 
-def _ask_consent(device: str, plans: Plans) -> None:
+def _ask_consent(device: str, plans: Plans, interlocks: Sequence[str]) -> None:
     plan = plans.chosen
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
     arm = ARM_WARNING.format(reach=REACH_RAD) if plans.has_arm else ""
     minutes = max(1.0, len(plan) * RUN_S / 60)
-    text = SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, device=device, word=WORD, arm=arm)
+    asserts = INTERLOCKS_WARNING.format(names=", ".join(interlocks)) if interlocks else ""
+    words = {"device": device, "word": WORD, "arm": arm, "interlocks": asserts}
+    text = SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, **words)
     style.warn(text, end=" ")
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")

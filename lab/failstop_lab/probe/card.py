@@ -149,9 +149,12 @@ class Card:
         if not found:
             return []
         times = [row.stands_s for row in found if row.stands_s is not None]
+        tried = sum(row.guarded is not None and not row.guarded.skipped for row in self.rows)
+        rest = f" {tried - len(found)} not measured." if tried > len(found) else ""
         if len(times) < len(found):
-            return [f"Through the guard port it does NOT stop in {len(found) - len(times)} of {len(found)} failures."]
-        return [f"Through the guard port it stops: within {max(times):.2f} s of each of {len(found)}."]
+            never = f"{len(found) - len(times)} of {len(found)} failures"
+            return [f"Through the guard port it does NOT stop in {never}.{rest}"]
+        return [f"Through the guard port it stops: within {max(times):.2f} s of each of {len(found)}.{rest}"]
 
     def _reckon(self) -> list[str]:
         """A sentence about the ground; none if nothing was measured."""

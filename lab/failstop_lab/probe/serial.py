@@ -94,6 +94,11 @@ class SerialProbe:
         return judge.GYRO if self._board.observed_by == BY_IMU else judge.OWN_WORD
 
     @property
+    def unjudged(self) -> str:
+        """Why nobody can judge whether the wheels stop; empty: somebody can."""
+        return self._unjudged
+
+    @property
     def shaking(self) -> judge.Shaking | None:
         """How the IMU tells turning wheels from resting ones; None: the wheels' own reports do."""
         return self._shaking

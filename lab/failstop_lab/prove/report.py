@@ -123,18 +123,25 @@ class Evidence:
 
     @property
     def covers(self) -> str:
-        """For people: the part of the whole test that the verdict is about, and a board that is not the robot's; empty:
-        it is not known."""
+        """For people: the part of the whole test that the verdict is about, the proofs that no row has, and a board
+        that is not the robot's; empty: it is not known."""
         whole, tested = {path.name for path, _ in self.whole}, {path for path, _ in self.tested}
         found = [f"{len(whole & tested)} of {len(whole)} stop paths"] if whole else []
         runs = [(path.name, velocity.name) for path, velocity in self.whole if path.name in tested]
         found += [] if self.tested.issuperset(runs) else ["not each at every speed"]
-        return ", ".join([*found, *(["on a SIMULATED board"] if self.simulated else [])])
+        return ", ".join([*found, *self._unseen, *(["on a SIMULATED board"] if self.simulated else [])])
+
+    @property
+    def _unseen(self) -> list[str]:
+        """For people: the proofs that no row has, because the board does not give them."""
+        unseen = ["NO WHEEL WAS OBSERVED"] if self.blind else []
+        silent = self.means is not None and not self.means.acknowledged_by
+        return [*unseen, *(["no stop was acknowledged"] if silent else [])]
 
     @property
     def complete(self) -> bool:
-        """It was the whole test, of a robot."""
-        return bool(self.whole) and not self.untested and not self.simulated
+        """It was the whole test, with every proof, of a robot."""
+        return bool(self.whole) and not (self.untested or self._unseen or self.simulated)
 
     @property
     def failed(self) -> list[Result]:

@@ -16,6 +16,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -26,6 +27,7 @@ from failstop.cli import style
 from failstop.cli.missing import INCOMPLETE
 from failstop.policy.halted import CONFIRMED
 from failstop_lab.boards.live import DIAMETER_M
+from failstop_lab.commands import probe as probe_command
 from failstop_lab.probe import judge
 from failstop_lab.probe.card import FORMATS, Card, Row
 from failstop_lab.probe.guard_port import GuardProbe
@@ -341,6 +343,15 @@ def test_what_nobody_could_judge_is_not_measured(tmp_path: Path) -> None:
     assert "NOT stop" not in (tmp_path / "card.txt").read_text()
 
 
+@pytest.mark.parametrize(("by", "unjudged"), [(judge.GYRO, judge.NO_JUDGE), (judge.PERSON, "")])
+def test_the_guard_port_is_not_judged_by_what_could_not_judge_the_bare_board(by: str, unjudged: str) -> None:
+    card = Card("a tank", "rrc", "1.0", "a node", [Row("sigkill", ROWS["sigkill"], unjudged=unjudged)])
+    probe = SimpleNamespace(by=by, unjudged=unjudged)
+    assert probe_command._guarded(None, None, b"", probe, card) == 1  # type: ignore[arg-type]
+    assert "the guard port was not measured" in card.ended
+    assert card.rows[0].guarded is None
+
+
 def test_a_key_is_read_at_a_terminal_alone() -> None:
     done = failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--key", "--yes")
     assert done.returncode == 1
@@ -510,6 +521,11 @@ def test_a_card_with_two_columns_fits_a_terminal_and_says_both() -> None:
     late = dataclasses.replace(bare, guarded=dataclasses.replace(guarded, stands_s=None))
     card.rows[:] = [late]
     assert "Through the guard port it does NOT stop in 1 of 1 failures." in card.text()
+    unseen = dataclasses.replace(bare, guarded=dataclasses.replace(guarded, stands_s=None, unjudged="silent"))
+    left_out = dataclasses.replace(bare, guarded=dataclasses.replace(guarded, stands_s=None, skipped="held"))
+    card.rows[:] = [bare, unseen, left_out]
+    said = " ".join(card.text().split()).replace("| ", "").replace(" |", "")
+    assert "within 0.03 s of each of 1. 1 not measured." in said
 
 
 def test_the_guard_port_is_not_offered_where_nobody_could_judge_or_speak_it(tmp_path: Path) -> None:

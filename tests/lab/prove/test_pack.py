@@ -20,8 +20,10 @@ from failstop.cli.main import main
 from failstop.policy.settings import Settings
 from failstop_lab.commands.prove import record_of
 from failstop_lab.prove import pack, report, saving
+from failstop_lab.prove.means import Means
 from failstop_lab.prove.report import Evidence
 from failstop_lab.prove.run import Result
+from failstop_lab.prove.sight import Unseen
 from failstop_lab.prove.table import BY_PATH, BY_TURNING, TURNINGS
 from tests.support.commands import FAILSTOP
 
@@ -59,17 +61,20 @@ def test_what_is_in_it(record: dict[str, Any]) -> None:
 
 
 ALL = ("timeout", "frozen", "pad")
+SILENT = Means(acknowledged_by="", observed_by="")
 WHOLE = [(BY_PATH[name], velocity) for velocity in TURNINGS[:2] for name in ALL]
 
 
-def of_part(*names: str, at: int = 2, simulated: bool = False, skips: str = "") -> dict[str, Any]:
-    """The record of the paths with these names at the first velocities; the path `skips` is skipped."""
+def of_part(*names: str, at: int = 2, simulated: bool = False, skips: str = "", **given: Any) -> dict[str, Any]:
+    """The record of the paths with these names at the first velocities; the path `skips` is skipped. `given`: more of
+    the evidence."""
     rows = [
         Result(path, velocity, simulated, skipped="nobody presses <Enter>" if path.name == skips else "")
         for path, velocity in WHOLE
         if path.name in names and velocity in TURNINGS[:at]
     ]
-    return record_of(Evidence("/dev/any", simulated, realtime=True, results=rows, user=Settings({}), whole=WHOLE))
+    found = {"results": rows, "user": Settings({}), "whole": WHOLE, **given}
+    return record_of(Evidence("/dev/any", simulated, realtime=True, **found))
 
 
 @pytest.mark.parametrize(
@@ -77,6 +82,11 @@ def of_part(*names: str, at: int = 2, simulated: bool = False, skips: str = "") 
     [
         (of_part(*ALL), "3 of 3 stop paths", []),
         (of_part(*ALL, simulated=True), "3 of 3 stop paths, on a SIMULATED board", []),
+        (
+            of_part(*ALL, means=SILENT, character=Unseen()),
+            "3 of 3 stop paths, NO WHEEL WAS OBSERVED, no stop was acknowledged",
+            SILENT.unproved(blind=True),
+        ),
         (of_part("timeout"), "1 of 3 stop paths", ["frozen, pad: not tested here"]),
         (
             of_part(*ALL, at=1),

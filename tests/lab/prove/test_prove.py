@@ -176,6 +176,14 @@ def test_without_the_word_nothing_is_written(board: SimBoard) -> None:
     assert board.events() == []
 
 
+def test_before_anything_moves_it_names_the_interlocks_that_it_asserts_itself(board: SimBoard, tmp_path: Path) -> None:
+    path = tmp_path / "failstop.toml"
+    path.write_text("[interlocks.arm_folded]\ntimeout_s = 0.5\n[interlocks.charger_off]\ntimeout_s = 0.5\n")
+    done = prove("--device", board.link, "--config", str(path), said="")
+    assert "THE TEST ITSELF ASSERTS YOUR INTERLOCKS: arm_folded, charger_off." in done.stderr
+    assert "INTERLOCKS" not in prove("--device", board.link, said="").stderr
+
+
 def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board: SimBoard) -> None:
     name = f"prove-other-{os.getpid()}"
     with Trial(name) as trial:
