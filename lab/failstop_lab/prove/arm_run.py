@@ -82,6 +82,7 @@ class ArmRun:
         driver, result = self.stand.driver, self.result
         driver.commands = driver.senses = driver.holds = False
         begun = self.stand.held.mark()
+        self.stand.others.begin(self.path.latched)
         try:
             self._begin()
             self._strike()

@@ -37,8 +37,9 @@ class Others:
     """Reads the events of the test's service."""
 
     def __init__(self) -> None:
-        self._wanted: frozenset[str] = frozenset()
-        """The causes that the present row brings about, by name."""
+        self._wanted = frozenset((causes.RUNAWAY.name, causes.UNCOUNTED.name))
+        """The causes that the present row brings about, by name. Before the first row the robot is measured, which
+        finds out itself why a wheel does not turn as it is told."""
         self._before: frozenset[str] = frozenset()
         """Those of the row before, whose stop may still be latched."""
         self.why = ""

@@ -128,6 +128,7 @@ class PathRun:
             result.skipped = "nobody to press a button (--pad asks for it)"
             return result
         begun = self.stand.held.mark()
+        self.stand.others.begin(self.path.latched)
         try:
             self._spin()
             if before := self.stand.driver.robot.state.cause:

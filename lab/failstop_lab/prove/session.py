@@ -128,7 +128,6 @@ def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -
 def _perform(
     stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
-    stand.others.begin(path.latched)
     if path.arm:
         result = ArmRun(stand, path, velocity, sight).perform()
     else:

@@ -319,9 +319,7 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path) -> None:
 
         stand.driver.each = each
         found = PathRun(stand, SIMULATED, BY_PATH["disable"], BY_TURNING["0.2"], None, random.Random()).perform()
-        assert [
-            text for text in found.wrong if "a stop came before the test caused one: stop request: somebody" in text
-        ]
+        assert [text for text in found.wrong if "stopped, but not by the test: stop request: somebody" in text]
         assert found.verdict == "INVALID", found.wrong
         assert stand.whole(), "the next row finds a service"
     found.starved = ""
