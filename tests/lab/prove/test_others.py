@@ -14,7 +14,8 @@ from failstop_lab.prove.run import PathRun
 from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import BY_PATH, BY_TURNING
 from failstop_lab.sim.client import SimBoard
-from tests.lab.prove.test_starved_rows import LEASE, SIMULATED, on_stand
+from tests.lab.prove.noise import SIMULATED
+from tests.lab.prove.stands import LEASE, on_stand
 
 
 @pytest.mark.slow

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,6 +30,7 @@ from failstop_lab.sim.client import Event, SimBoard
 from failstop_lab.trial import wait_for
 from tests.lab.prove.judged import MEANS, MS, UNSEEN, run, wrong
 from tests.lab.prove.noise import DRIVE, SIMULATED, STILL, gyro
+from tests.lab.prove.stands import on_stand
 from tests.support.board_events import FAULT_NS, TURNING, event
 from tests.support.board_events import STILL as REST
 
@@ -278,16 +278,6 @@ def test_advice_fits_the_board(simulated: bool) -> None:
         character.characterize(stand, [BY_TURNING["0.2"]], quick=True)  # type: ignore[arg-type]
     assert (MOUNTED in str(error.value)) is not simulated
     assert ("quieter machine" in str(error.value)) is simulated
-
-
-LEASE: dict[str, object] = {"gate.lease_s": 0.2}
-"""The service's own stops of a busy machine are another matter."""
-
-
-@contextlib.contextmanager
-def on_stand(tmp_path: Path) -> Iterator[ProveStand]:
-    with SimBoard(tmp_path / "board") as board, ProveStand(board.link, LEASE, str(tmp_path), board) as stand:
-        yield stand
 
 
 @pytest.mark.slow
