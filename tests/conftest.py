@@ -35,7 +35,8 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.getoption("quick") else "failstop")
     if config.getoption("quick"):
         sys.addaudithook(_refuse)
-        # matplotlib starts a process only where it has kept no list of fonts: on every machine it shall be the same.
+        # Without its list of fonts matplotlib starts a process. Here it never has one, so that a test which draws fails
+        # on every machine if it is not marked.
         fonts = tempfile.TemporaryDirectory()
         config.add_cleanup(fonts.cleanup)
         os.environ["MPLCONFIGDIR"] = fonts.name

@@ -21,7 +21,7 @@ from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
 from failstop.files import instance
-from failstop.fleet import FleetError, message, publisher, report, settings, signed, topics, view
+from failstop.fleet import FleetError, levels, message, publisher, report, settings, signed, topics, view
 from failstop.fleet.broker import CONNECT_S, Broker
 from failstop.fleet.roster import Robot, Roster
 from failstop.fleet.sender import BY_HAND, Sender
@@ -40,7 +40,6 @@ WATCH_S = 0.25
 """The time between two updates of the screen, in seconds."""
 LIST_S = 1.5
 """How many seconds to wait until the broker has sent everything that it has stored."""
-LONGEST_STOP_S = 3600.0
 PROGRESS_S = 0.25
 """The time between two updates of the progress line, in seconds."""
 INTERRUPTED = 130
@@ -86,8 +85,8 @@ def _seconds(text: str) -> float:
         found = float(text)
     except ValueError:
         found = 0.0
-    if not 0.0 < found <= LONGEST_STOP_S:
-        raise ArgumentTypeError(f"{text!r}: it must be more than 0 s, and at most {LONGEST_STOP_S:.0f} s")
+    if not 0.0 < found <= levels.LONGEST_S:
+        raise ArgumentTypeError(f"{text!r}: it must be more than 0 s, and at most {levels.LONGEST_S:.0f} s")
     return found
 
 

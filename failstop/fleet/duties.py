@@ -21,14 +21,10 @@ if TYPE_CHECKING:
 
 FOLLOWED_S = 6.0
 """How long the robot expects further proofs of a stop, in seconds."""
-WATCHED_S = 3600.0
-"""How long the robot tells the sender if something contradicts a stop that it has confirmed, in seconds. This is the
-longest time for which a sender waits."""
 OWED_S = 60.0
 """How long the robot waits for the next run of its service, in seconds, if the run that was asked to stop has ended
-while proofs were expected.
-The next run is then asked too, because a latched stop ends with its run. After this time, only the sender's next repeat
-asks again."""
+while proofs were expected. The next run is then asked too, because a latched stop ends with its run. After this time,
+only the sender's next repeat asks again."""
 AGAIN_EVERY_S = 0.25
 """The shortest time between two answers to a stop that its sender repeats, in seconds. Also the shortest time between
 two requests of the same stop."""
@@ -71,8 +67,8 @@ class Duty:
         """Find out from the service's state which levels the stop has reached, and whether anything contradicts them.
         Returns True if the robot's answer has changed. `run`: the run that has this state, or empty."""
         before = self._gist()
-        self._owes = self.owed(now_s, run) or (not run and self._expects(now_s))
         self.lost = (run != self._run or not run) and not self._reset
+        self._owes = self.lost and self._expects(now_s)
         if self.lost:
             self.why = ENDED if self._run else ""
         elif run == self._run and state is not None:
@@ -125,8 +121,8 @@ class Duty:
         return stop.epoch > self._epoch or (was_latched and state.epoch > self._epoch)
 
     def followed(self, now_s: float) -> bool:
-        """Return True while this stop must be looked at."""
-        return now_s - self._since_s <= WATCHED_S
+        """Return True while this stop must be looked at: as long as its sender may wait for answers."""
+        return now_s - self._since_s <= levels.LONGEST_S
 
     def _expects(self, now_s: float) -> bool:
         """Return True while further proofs, or the next run of the service, are expected."""

@@ -28,6 +28,8 @@ OBSERVED = "observed"
 """The robot has seen that its wheels are still."""
 PROOFS = (WRITTEN, ACKNOWLEDGED, OBSERVED)
 ORDER = (REFUSED, FAILED, ASKED, *PROOFS)
+LONGEST_S = 3600.0
+"""The longest time for which a sender waits for answers to its stop, in seconds."""
 MOST_TEXT = 120
 """The longest allowed reason or name, in characters."""
 

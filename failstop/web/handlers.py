@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from failstop.web.devices import Device
     from failstop.web.page import Page
 
-YEAR_DAYS = 365
+YEAR_S = 365 * 86400
 NOT_YET = 202
 LINES_OF_A_DEFECT = 6
 
@@ -206,8 +206,7 @@ class Pair(Guarded):
         self.set_cookie(
             self.cookie,
             token,
-            max_age=YEAR_DAYS * 86400,
-            expires_days=None,
+            max_age=YEAR_S,
             httponly=True,
             secure=secure,
             samesite="Strict",

@@ -74,8 +74,8 @@ class Pipe:
 
 
 class Asked:
-    """Requests the stops that pages ask for, each id only once. A page may send one stop both by websocket and as an
-    HTTP request, with the same id."""
+    """Requests the stops that pages ask for, for each known id only once. A page may send one stop both by websocket
+    and as an HTTP request, with the same id."""
 
     def __init__(self, pipe: Pipe) -> None:
         """`pipe`: the stop pipe of the service."""
@@ -84,37 +84,46 @@ class Asked:
         self._presses: dict[str, int] = {}
 
     def ask(self, who: str, identity: object) -> Request:
-        """Request a stop at once, unless a stop with this id was requested before. A page asks for one touch again and
-        again, with ids that differ only after a dash. Their requests have the time of the first that was sent to the
-        service, because the page compares this time with that of the stop."""
+        """Request a stop at once, unless this id is known (KNOWN_NS). A page asks for one touch again and again,
+        with ids that differ only after a dash. Their requests have the time of the first that was sent to the service,
+        because the page compares this time with that of the stop."""
         known = str(identity)[:MOST_OF_AN_ID] if identity else ""
         try:
             asked_ns = self._ask(who, known)
         except FailstopError as error:
             return Request(time.time(), error=error)
-        first_ns = self._first(self._presses, known.partition("-")[0], asked_ns) if known else asked_ns
+        press = known.partition("-")[0]
+        first_ns = _used_ns(self._presses, press, asked_ns)
+        if first_ns is None:
+            first_ns = _use(self._presses, press, asked_ns)
         return Request(time.time() - (time.monotonic_ns() - first_ns) / 1e9, asked_ns)
 
-    def _first(self, known: dict[str, int], identity: str, now_ns: int) -> int:
-        """Return when this id was first used in the last KNOWN_NS, which is `now_ns` if it is new. Keeps at most
-        MOST_IDS."""
-        first_ns = known.get(identity, 0)
-        if identity in known and now_ns - first_ns < KNOWN_NS:
-            return first_ns
-        known.pop(identity, None)
-        known[identity] = now_ns
-        if len(known) > MOST_IDS:
-            del known[next(iter(known))]
-        return now_ns
-
     def _ask(self, who: str, known: str) -> int:
-        """Request a stop, unless a stop with this id was requested before. Returns the time of the first request
+        """Request a stop, unless this id is known (KNOWN_NS). Returns the time of the first request with it
         (CLOCK_MONOTONIC, ns). Raises NoService, FailstopError."""
         asked_ns = time.monotonic_ns()
-        if known and asked_ns - self._ids.get(known, asked_ns - KNOWN_NS) < KNOWN_NS:
-            return self._ids[known]
+        before_ns = _used_ns(self._ids, known, asked_ns)
+        if before_ns is not None:
+            return before_ns
         self._pipe.send(who)
-        return self._first(self._ids, known, asked_ns) if known else asked_ns
+        return _use(self._ids, known, asked_ns)
+
+
+def _used_ns(ids: dict[str, int], identity: str, now_ns: int) -> int | None:
+    """Return when this id was first used in the last KNOWN_NS, or None if it was not."""
+    first_ns = ids.get(identity)
+    return None if first_ns is None or now_ns - first_ns >= KNOWN_NS else first_ns
+
+
+def _use(ids: dict[str, int], identity: str, now_ns: int) -> int:
+    """Note that this id, unless it is empty, is used for the first time now. Keeps the newest MOST_IDS. Returns
+    `now_ns`."""
+    if identity:
+        ids.pop(identity, None)
+        ids[identity] = now_ns
+        if len(ids) > MOST_IDS:
+            del ids[next(iter(ids))]
+    return now_ns
 
 
 async def written(name: str, asked_ns: int) -> bool:

@@ -16,6 +16,7 @@ class MotionWriter:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word = context.own.word("told_ns")
         self._armed = False
+        """True if the board's own watchdog was set since the last stop."""
         self.turning = False
         """True if the last command to the wheels was to turn, and no stop was written after it."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)

@@ -275,7 +275,7 @@ def test_the_next_run_is_not_asked_if_it_comes_much_later_unless_the_sender_stil
     assert repeat(robot, duties.OWED_S + 1)[0] is not None
 
 
-@pytest.mark.parametrize("later_s", [duties.FOLLOWED_S + 1, duties.WATCHED_S - 1])
+@pytest.mark.parametrize("later_s", [duties.FOLLOWED_S + 1, levels.LONGEST_S - 1])
 def test_a_confirmation_is_taken_back_however_long_the_sender_waits(robot: Duties, later_s: float) -> None:
     begin(robot, order())
     proved = stopped(written_s=2e-4, acknowledged_s=4e-3, observed_s=0, **WHEELS)

@@ -177,7 +177,7 @@ def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in BOARDS if is_described(kind)])
 def test_the_first_motion_is_not_written_while_the_stop_before_it_is_on_the_line(kind: str) -> None:
-    """Nor while a question is. A stop that is asked for at that moment would have to wait for all of them."""
+    """A stop that is asked for at that moment would have to wait for both."""
     scene = made(kind)
     scene.turn()
     writes(scene, 6000 * MS)

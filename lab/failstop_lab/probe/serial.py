@@ -68,7 +68,8 @@ class SerialProbe:
         self._path, self._kind, self._board, self._frame = path, kind, board, frame
         self._say = say
         self._by_key = by_key
-        self._unjudged = ""
+        self.unjudged = ""
+        """Why nobody can judge whether the wheels stop; empty: somebody can."""
         """Why nobody can judge this board's wheels here; empty: somebody can."""
         self._tap: Tap | None = None
         self._samples: list[SeenSample] = []
@@ -92,11 +93,6 @@ class SerialProbe:
         if self._by_key:
             return judge.PERSON
         return judge.GYRO if self._board.observed_by == BY_IMU else judge.OWN_WORD
-
-    @property
-    def unjudged(self) -> str:
-        """Why nobody can judge whether the wheels stop; empty: somebody can."""
-        return self._unjudged
 
     @property
     def shaking(self) -> judge.Shaking | None:
@@ -226,7 +222,7 @@ class SerialProbe:
         else:
             tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells and not judge.somebody():
-            self._unjudged = judge.NO_JUDGE
+            self.unjudged = judge.NO_JUDGE
         elif not tells:
             self._say("The board's reports don't show whether its wheels turn, so you will press a key when they stop.")
             self._say(
@@ -242,8 +238,8 @@ class SerialProbe:
 
     def run_row(self, name: str) -> Row:
         """Make one row, and stop the wheels at its end. Raises FailstopError, OSError."""
-        if self._unjudged:
-            return Row(name, ROWS[name], unjudged=self._unjudged)
+        if self.unjudged:
+            return Row(name, ROWS[name], unjudged=self.unjudged)
         if name == "plug":
             return self._plug()
         self._gone_ns = 0

@@ -23,6 +23,7 @@ from failstop.messages.layout import SUPERVISOR
 from failstop.policy.settings import FIRST_SOURCE
 from failstop_lab.faults import arm_table as table
 from failstop_lab.prove import swing
+from failstop_lab.prove.others import STRIKE
 from failstop_lab.prove.run import (
     MOST_S,
     NS,
@@ -132,7 +133,7 @@ class ArmRun:
         number = signal.SIGKILL if fault.what in (table.KILL, table.CLIENT_KILL) else signal.SIGSTOP
         self._cause_ns = time.monotonic_ns()
         if fault.what == table.STOP_REQUEST:
-            self._request(stand.name, "prove")
+            self._request(stand.name, STRIKE)
         else:
             os.kill(pids[fault.process] if fault.process else program.pid, number)
         self._struck = pids.get(fault.process, 0)

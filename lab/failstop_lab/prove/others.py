@@ -38,8 +38,8 @@ class Others:
 
     def __init__(self) -> None:
         self._wanted = frozenset((causes.RUNAWAY.name, causes.UNCOUNTED.name))
-        """The causes that the present row brings about, by name. Before the first row the robot is measured, which
-        finds out itself why a wheel does not turn as it is told."""
+        """The causes that the present row brings about, by name. Before the first row the test measures the
+        robot, and judges by its reports what its wheels do."""
         self._before: frozenset[str] = frozenset()
         """Those of the row before, whose stop may still be latched."""
         self.why = ""

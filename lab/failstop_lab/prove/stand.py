@@ -121,7 +121,7 @@ class ProveStand(Stand):
         self.others = Others()
         self.driver.each = self.look
         self.driver.may_reset = self.others.check
-        self.held = Held(others=self._others)
+        self.held = Held(others=self._beside)
         self._halt = Halt(device, self.language, _alarm)
         self._started = False
         self.swing: Swing | None = None
@@ -174,7 +174,7 @@ class ProveStand(Stand):
             now_s = time.monotonic()
         return False
 
-    def _others(self) -> dict[str, int]:
+    def _beside(self) -> dict[str, int]:
         """Processes that the machine has to run in time, beside this one."""
         return {**({"the simulated board": self.board.pid} if self.board else {}), **self.service.known}
 

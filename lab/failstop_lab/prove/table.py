@@ -12,6 +12,7 @@ from failstop_lab.faults import arm_table, processes
 from failstop_lab.faults.arm_table import ArmFault
 from failstop_lab.faults.fault import Fault, Wanted
 from failstop_lab.faults.table import FAULT_BY_NAME
+from failstop_lab.prove.others import STRIKE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +172,7 @@ def _struck(kind: str, process: str) -> Path:
 
 PATHS = (
     Path(TIMEOUT, TIMEOUT, "the commands end", _bar("client-hung"), by_gate=True),
-    Path("stop-request", STOP_REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, "prove"),)),
+    Path("stop-request", STOP_REQUEST, "a stop request", _bar("stop-request"), latched=((causes.PIPED, STRIKE),)),
     Path(DISABLING, DISABLING, "motion is disabled", DISABLE_MS),
     Path(SCAN, SCAN, "the obstacle sensor falls silent, and comes back", _bar("scan-silent"), by_gate=True),
     Path(PAD_STOP, PAD_STOP, "a button of the gamepad", _bar("pad-button"), latched=((causes.BUTTON,),)),

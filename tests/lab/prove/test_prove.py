@@ -30,6 +30,7 @@ from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import BY_PATH, BY_TURNING
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import Trial, wait_for
+from tests.lab.prove import stands
 from tests.lab.prove.judged import UNSEEN, firm
 from tests.lab.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
@@ -51,8 +52,7 @@ def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
 @contextlib.contextmanager
 def on_stand(place: Path, **settings: object) -> Iterator[ProveStand]:
     """Its rows are not excused by what else this machine does (test_starved_rows.py)."""
-    settings[status.LEASE] = status.LEASE_WITHOUT_S
-    with SimBoard(place / "board") as board, ProveStand(board.link, settings, str(place), board) as stand:
+    with stands.on_stand(place, **settings) as stand:
         stand.held.starved = lambda *_: ""  # type: ignore[method-assign]
         yield stand
 
