@@ -62,9 +62,9 @@ class _Devices(_Asked):
         found = [{"id": device.id, "name": device.name, "made": device.made} for device in self.page.devices.all()]
         self.finish({"devices": found})
 
-    def post(self) -> None:
+    async def post(self) -> None:
         identity = json.loads(self.request.body)["id"]
-        self.finish({"revoked": self.page.revoke(str(identity))})
+        self.finish({"revoked": await self.page.revoke(str(identity))})
 
 
 def listen(page: Page, path: str) -> HTTPServer:

@@ -183,7 +183,7 @@ class Me(Guarded):
 class Pair(Guarded):
     """Pairs a device that sends the right code."""
 
-    def post(self) -> None:
+    async def post(self) -> None:
         """Pair the device. Its token goes into a cookie that scripts can't read. Scripts get only the key that proves
         the operator's presence."""
         if not self.page.pairing_on:
@@ -195,7 +195,7 @@ class Pair(Guarded):
             return
         given = self.body()
         try:
-            token = self.page.pair(str(given.get("code", "")), str(given.get("name", "")))
+            token = await self.page.pair(str(given.get("code", "")), str(given.get("name", "")))
         except (devices.NotPaired, FailstopError) as error:
             self.refuse(403, str(error))
             return
@@ -219,11 +219,11 @@ class Pair(Guarded):
 class Forget(Guarded):
     """Unpairs this device."""
 
-    def post(self) -> None:
+    async def post(self) -> None:
         """Remove the device from the paired devices."""
         if device := self.paired():
             try:
-                self.page.revoke(device.id)
+                await self.page.revoke(device.id)
             except FailstopError as error:
                 self.refuse(500, str(error))
                 return

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import secrets
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from tornado.ioloop import PeriodicCallback
@@ -70,6 +72,10 @@ class Page:
         self.incidents = Incidents(name)
         self._storage = storage.Storage(storage.folder(name, os.environ))
         self.devices = self._storage.devices() if self.pairing_on else devices.Devices()
+        self._saving = asyncio.Lock()
+        """Held while the devices are saved, so that an older list never replaces a newer one."""
+        self._disk = ThreadPoolExecutor(1, "disk")
+        """Saves the devices. A slow disk can hold up a write for seconds, and no STOP may wait for it."""
         self.tls = self._tls(settings.text("web.tls"))
         self.fingerprint = self._storage.fingerprint() if self.tls else ""
         self.control_path = self._storage.path(storage.CONTROL)
@@ -120,24 +126,31 @@ class Page:
         passed_s = (time.monotonic_ns() - held.proven_ns) / 1e9
         return state is not None and state.attended_by != () and held.proven_ns > 0 and passed_s <= self._lease_s
 
-    def pair(self, code: str, name: str) -> str:
+    async def pair(self, code: str, name: str) -> str:
         """Pair a new device, and return its token. Raises NotPaired if the code is not valid or there are too many
         devices, and FailstopError if saving fails."""
         self.pairing.redeem(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
-        made = devices.Device(
-            secrets.token_hex(ID_BYTES), self.devices.free_name(name), devices.digest_of(token), round(time.time())
-        )
-        self.devices.add(made)
-        try:
-            self._storage.keep(self.devices)
-        except Exception:
-            self.devices.revoke(made.id)
-            raise
+        async with self._saving:
+            made = devices.Device(
+                secrets.token_hex(ID_BYTES), self.devices.free_name(name), devices.digest_of(token), round(time.time())
+            )
+            self.devices.add(made)
+            try:
+                await self._save(self._storage.keep)
+            except Exception:
+                self.devices.revoke(made.id)
+                raise
         return token
 
-    def revoke(self, identity: str) -> str:
-        """Unpair the device with this id. Returns the device's name, or "" if the id is unknown. Raises FailstopError
+    async def _save(self, how: Callable[[devices.Devices], None]) -> None:
+        """Save the present devices in a thread, by one of the storage's methods. Call it with `_saving` held. Raises
+        FailstopError."""
+        present = devices.Devices(tuple(self.devices.all()))
+        await asyncio.get_running_loop().run_in_executor(self._disk, how, present)
+
+    async def revoke(self, identity: str) -> str:
+        """Unpair the device with this id at once, then save the list of devices. Returns the device's name, or "" if the id is unknown. Raises FailstopError
         if the new list of devices can't be saved. In that case, the device is unpaired only until the page is
         restarted."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
@@ -149,7 +162,8 @@ class Page:
             # The device connects again, and then learns what it may still do.
             viewer.close(REVOKED, "this device is not paired any more")
         try:
-            self._storage.keep_fewer(self.devices)
+            async with self._saving:
+                await self._save(self._storage.keep_fewer)
         except FailstopError as error:
             raise FailstopError(f"{found.name} is revoked, and back after a restart of the page: {error}") from None
         return found.name
@@ -184,4 +198,5 @@ class Page:
         self.driving.close()
         self.workers.close()
         self.incidents.close()
+        self._disk.shutdown(cancel_futures=True)  # a write that has begun ends before another page may lock the folder
         self._storage.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import secrets
@@ -174,6 +175,9 @@ class Storage:
             _fail(self.path(CERTIFICATE), error)
         finally:
             os.umask(before)
+            for left in (draft, f"{draft}.crt"):
+                with contextlib.suppress(OSError):
+                    os.unlink(left)
 
 
 def _openssl(*words: str) -> subprocess.CompletedProcess[str]:

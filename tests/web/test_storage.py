@@ -5,15 +5,19 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import json
 import os
 import subprocess
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.files import durable
+from failstop.web import control
 from failstop.web.devices import Device, Devices
 from failstop.web.storage import DEVICES, Storage
 from tests.web.parts import Web
@@ -107,6 +111,50 @@ def test_a_device_that_can_only_be_revoked_until_a_restart_is_told_so(tmp_path: 
         assert web.post("/api/disable", headers=headers)[0] == 401, "at once all the same"
 
 
+OPENSSL = """#!/bin/sh
+while [ $# -gt 0 ]; do case $1 in -keyout | -out) echo draft > "$2" ;; esac; shift; done
+echo it fails >&2
+exit 1
+"""
+"""An openssl that fails at the end of its work."""
+SLOW_S = 1.5
+SLOW_DISK = f"""
+import os, sys, time
+from failstop.cli.main import main
+sync = os.fsync
+os.fsync = lambda fd: (time.sleep({SLOW_S}), sync(fd))
+sys.exit(main(sys.argv[1:]))
+"""
+"""A program as on an SD card that other programs keep busy."""
+
+
+def test_a_stop_does_not_wait_for_a_slow_disk(tmp_path: Path) -> None:
+    """Whatever saves the devices: each is under way while the page answers."""
+    config = tmp_path / "web.toml"
+    config.write_text(PAIRING)
+    with Web("kept-slow", "--config", str(config), state=str(tmp_path), program=("-c", SLOW_DISK)) as web:
+        anna, bert = web.pair("Anna"), web.pair("Bert")
+        listed = control.ask(web.name, web.environment, "GET", "/devices")["devices"]
+        (identity,) = [each["id"] for each in listed if each["name"] == "Bert"]
+        code = web.code()
+        ways: list[Callable[[], object]] = [
+            lambda: web.pair("Cleo", code),
+            lambda: web.post("/api/forget", headers=anna),
+            lambda: control.ask(web.name, web.environment, "POST", "/devices", {"id": identity}),
+        ]
+        with ThreadPoolExecutor() as others:
+            for way in ways:
+                saved = others.submit(way)
+                time.sleep(SLOW_S / 4)
+                since_s = time.monotonic()
+                assert web.post("/api/stop")[0] == 503, "no service runs"
+                assert time.monotonic() - since_s < SLOW_S / 2
+                assert not saved.done()
+                saved.result()
+        assert [web.post("/api/disable", headers=each)[0] for each in (anna, bert)] == [401, 401]
+        assert [row["name"] for row in json.loads((tmp_path / DEVICES).read_text())] == ["Cleo"]
+
+
 def test_a_second_page_with_the_same_files_is_refused(tmp_path: Path) -> None:
     """It would have devices of its own: a device that was revoked at one page would be back with the other one."""
     config = tmp_path / "web.toml"
@@ -125,6 +173,21 @@ def test_a_second_page_with_the_same_files_is_refused(tmp_path: Path) -> None:
         web.process.wait()
         with Web("kept-twice", "--config", str(config), state=str(folder)) as again:
             assert again.post("/api/disable", headers=headers)[0] == 401
+
+
+def test_a_certificate_that_cannot_be_made_leaves_no_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as one for a name that openssl refuses, after it has made the key: the page is started again and again."""
+    openssl = tmp_path / "bin" / "openssl"
+    openssl.parent.mkdir()
+    openssl.write_text(OPENSSL)
+    openssl.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{openssl.parent}:{os.environ['PATH']}")
+    place = tmp_path / "state"
+    kept = Storage(str(place))
+    with pytest.raises(FailstopError, match="openssl made no certificate: it fails"):
+        kept.tls(["localhost"])
+    kept.close()
+    assert os.listdir(place) == []
 
 
 def test_where_a_folder_cannot_be_locked_the_page_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
