@@ -186,6 +186,7 @@ def _proofs(stop: Stop) -> Message:
         "written_s": stop.written_s,
         "acknowledged_s": stop.acknowledged_s,
         "observed_s": stop.observed_s,
+        "sent": None if stop.sent else False,
         "believed": None if stop.believed else False,
     }
     return {key: value for key, value in found.items() if value is not None}

@@ -106,6 +106,13 @@ def _stop(value: str) -> Read:
     return lambda state: _one(getattr(state.last_stop, value) if state.last_stop else None)
 
 
+def _written(state: State) -> list[Sample]:
+    """Return when the last stop was written. Empty while its bytes wait in the kernel because the board accepts none,
+    or if they went to a device that has not answered."""
+    stop = state.last_stop
+    return _one(stop.written_s if stop and stop.sent and stop.believed else None)
+
+
 def _stop_cause(state: State) -> list[Sample]:
     stop = state.last_stop
     return [((("cause", stop.cause.kind.name), ("noticed_by", stop.noticed_by)), 1.0)] if stop else []
@@ -209,8 +216,8 @@ STOPS = (
     _row("last_stop_timestamp_seconds", GAUGE, "When the last stop was, in Unix time", _stop("t")),
     _row(
         "last_stop_written_seconds", GAUGE,
-        "From the cause until the kernel had the stop's bytes; missing: NOT written",
-        _stop("written_s"),
+        "From the cause until the kernel had the stop's bytes; missing: NOT written, or not accepted by the board",
+        _written,
     ),
     _row(
         "last_stop_acknowledged_seconds", GAUGE, "From the cause to the board's answer; missing: no answer came",
