@@ -57,6 +57,12 @@ class PageRequest:
     """The value of HEADER."""
     site: str = ""
     """The value of Sec-Fetch-Site."""
+    path: str = ""
+    """The path, without the query."""
+    mode: str = ""
+    """The value of Sec-Fetch-Mode."""
+    dest: str = ""
+    """The value of Sec-Fetch-Dest."""
     upgrade: bool = False
     """True if the request asks for a websocket."""
 
@@ -111,6 +117,13 @@ def _own_host(request: PageRequest, known: frozenset[str], proxied: str) -> bool
     return is_address(host) or host in known
 
 
+def _own_site(request: PageRequest, known: frozenset[str], proxied: str) -> bool:
+    """Return True also if a person has followed a link of another site to the page itself. The other site can't read
+    the answer, and the page does nothing before a person touches it."""
+    opens = (request.method, request.path, request.mode, request.dest) == ("GET", "/", "navigate", "document")
+    return request.site in SAME or (opens and not request.upgrade)
+
+
 def _own_origin(request: PageRequest, known: frozenset[str], proxied: str) -> bool:
     if request.origin:
         # Without a proxy `proxied` is empty. It can't match then, because request.origin is not empty here.
@@ -122,7 +135,7 @@ def _own_origin(request: PageRequest, known: frozenset[str], proxied: str) -> bo
 ROWS: tuple[tuple[str, int, Callable[[PageRequest, frozenset[str], str], bool], str], ...] = (
     ("method", 405, lambda request, known, proxied: request.method in METHODS, "only GET, HEAD and POST are answered"),
     ("host", 421, _own_host, "this robot does not answer to that host name: add it to the setting web.hosts"),
-    ("site", 403, lambda request, known, proxied: request.site in SAME, "a page of another site may not call this one"),
+    ("site", 403, _own_site, "a page of another site may not call this one"),
     (
         "origin",
         403,

@@ -53,6 +53,9 @@ class Guarded(RequestHandler):
             origin=given("Origin", ""),
             header=given(guard.HEADER, ""),
             site=given("Sec-Fetch-Site", ""),
+            path=self.request.path,
+            mode=given("Sec-Fetch-Mode", ""),
+            dest=given("Sec-Fetch-Dest", ""),
             upgrade=given("Upgrade", "").lower() == "websocket",
         )
 

@@ -62,7 +62,8 @@ class Watcher:
     @staticmethod
     def _what_matters(state: State) -> object:
         moves, board = any(state.wheels_radps), (state.device, state.last_stop)
-        return state.blocked, state.enabled, state.epoch, state.waiting_for, *board, moves, state.speed_limit
+        turning = state.turning.does, state.turning.unexpected
+        return state.blocked, state.enabled, state.epoch, state.waiting_for, *board, moves, *turning, state.speed_limit
 
     def _show(self, shown: dict[str, Any]) -> None:
         text = json.dumps(shown, sort_keys=True)

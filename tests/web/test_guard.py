@@ -105,6 +105,36 @@ def test_a_browser_that_says_where_it_comes_from(site: str) -> None:
     assert refused(POST, site=site) == 403
 
 
+LINK = dataclasses.replace(OWN, site="cross-site", path="/", mode="navigate", dest="document")
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_link_of_another_site_opens_the_page(site: str) -> None:
+    assert refused(LINK, site=site) == 0
+
+
+@pytest.mark.parametrize(
+    ("changed", "status"),
+    [
+        ({"path": "/api/state"}, 403),
+        ({"path": "/page.js"}, 403),
+        ({"path": ""}, 403),
+        ({"method": "HEAD"}, 403),
+        ({"method": "POST", "header": "1"}, 403),
+        ({"mode": "no-cors"}, 403),
+        ({"mode": "cors"}, 403),
+        ({"mode": ""}, 403),
+        ({"dest": "iframe"}, 403),
+        ({"dest": "empty"}, 403),
+        ({"upgrade": True, "origin": "http://robot-7.local:8477"}, 403),
+        ({"origin": "http://evil.example"}, 403),
+        ({"host": "evil.example"}, 421),
+    ],
+)
+def test_another_site_can_do_nothing_but_open_the_page(changed: dict[str, Any], status: int) -> None:
+    assert refused(LINK, **changed) == status
+
+
 def test_a_form_or_a_link_cannot_stop_or_drive() -> None:
     """A form and a link can set no header."""
     assert refused(POST, header="") == 403

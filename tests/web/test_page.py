@@ -121,6 +121,11 @@ def test_what_the_guard_refuses(
     assert trial.robot.state.epoch == before
 
 
+def test_a_link_of_another_site_opens_the_page_and_nothing_else(web: Web) -> None:
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    assert [web.ask("GET", path, headers=link)[0] for path in ("/", "/api/state")] == [200, 403]
+
+
 def test_garbage_is_answered_with_nothing_of_the_inside(web: Web) -> None:
     for given in (b"\x16\x03\x01\x02\x00", b"GET / HTTP/9.9\r\n\r\n", b"\0" * 2000, b"POST /api/stop HTTP/1.1\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", web.port), timeout=5) as connection:
