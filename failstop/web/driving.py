@@ -30,7 +30,8 @@ SOURCE = "page"
 """The source of the page's commands, if the settings declare this source. If they don't, the page's commands have the
 source cmd_vel."""
 OTHER_S = 0.5
-"""How long after the driver's last command another person must wait before driving, s."""
+"""How long after the driver's last command, or after the driver has let go of the stick, another person must wait
+before driving, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
@@ -60,7 +61,12 @@ class Driving:
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
         self._robot: Robot | None = None
         self._driver: tuple[Viewer, str] | None = None
+        """The viewer who drives or has driven last, and the name of the device. The connection to the service is that
+        of this viewer."""
+        self._released = False
+        """True if the driver has let go of the stick."""
         self._last_s = 0.0
+        """When the driver has sent the last command or has let go of the stick (time.monotonic())."""
         self._chosen: dict[str, str] = {}
         """The ids of devices whose operators have chosen a speed limit since they began to attend. Each has the run of
         the service in which it was chosen (see run()), because the next run begins without a limit."""
@@ -113,7 +119,7 @@ class Driving:
         if self._driver is None or self._driver[0] is not viewer:
             self._close()
             self._driver = viewer, device.name
-        self._last_s = time.monotonic()
+        self._last_s, self._released = time.monotonic(), False
         vx_mps, wz_radps = (part * full * state.speed_limit for part, full in zip(wanted, self._full, strict=True))
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
@@ -138,14 +144,14 @@ class Driving:
         along its ramp. Slowing down needs no proof that the operator is present."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
-        if self._driver and self._driver[0] is viewer:
-            self._driver = None
+        if self._driver and self._driver[0] is viewer and not self._released:
+            self._last_s, self._released = time.monotonic(), True
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Viewer, attending: Collection[Viewer]) -> None:
-        """Note that the viewer no longer attends. If this viewer drives the robot, stop the robot at once. The operator
-        must choose a speed limit before driving again, unless the device still attends through another viewer, such as
-        another tab. `attending`: the viewers that still attend."""
+        """Note that the viewer no longer attends. If this viewer drives the robot or has driven it last, stop the robot
+        at once. The operator must choose a speed limit before driving again, unless the device still attends through
+        another viewer, such as another tab. `attending`: the viewers that still attend."""
         if (device := viewer.device()) and device.id not in {
             found.id for each in attending if (found := each.device())
         }:

@@ -150,9 +150,9 @@ class Page:
         await asyncio.get_running_loop().run_in_executor(self._disk, how, present)
 
     async def revoke(self, identity: str) -> str:
-        """Unpair the device with this id at once, then save the list of devices. Returns the device's name, or "" if the id is unknown. Raises FailstopError
-        if the new list of devices can't be saved. In that case, the device is unpaired only until the page is
-        restarted."""
+        """Unpair the device with this id at once, then save the list of devices. Returns the device's name, or "" if
+        the id is unknown. Raises FailstopError if the new list of devices can't be saved. In that case, the device is
+        unpaired only until the page is restarted."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:

@@ -310,6 +310,42 @@ def test_two_devices_do_not_drive_at_once(trial: Trial, web: Web, anna: dict[str
         assert trial.robot.state.body_vel.vx_mps < 0
 
 
+def test_another_device_drives_half_a_second_after_the_first_was_let_go(
+    trial: Trial, web: Web, anna: dict[str, str]
+) -> None:
+    other = web.pair("Dana")
+    with ready(trial, web, anna) as viewer, Viewer(web, other) as dana:
+        dana.attend()
+        assert web.post("/api/limit", {"percent": 100}, other)[0] == 200
+        for _ in range(3):
+            viewer.stay(0.1, FORWARD)
+            dana.stay(0.1)
+        since_s = time.monotonic()
+        viewer.send(drive=False)
+        while trial.robot.state.body_vel.vx_mps >= 0:
+            assert time.monotonic() < since_s + 10
+            viewer.stay(0.02)
+            dana.stay(0.02, "-1.00 0.00")
+        assert time.monotonic() >= since_s + driving.OTHER_S
+        assert "Anna drives" in told(dana)
+
+
+def test_who_leaves_after_driving_is_no_client_any_more(trial: Trial, web: Web, anna: dict[str, str]) -> None:
+    with ready(trial, web, anna) as viewer, Viewer(web, web.pair("Fred")) as other:
+        other.attend()
+        viewer.stay(0.3, FORWARD)
+        assert "Anna (page)" in {client.name for client in trial.robot.state.clients}
+        viewer.send(drive=False)
+        viewer.stay(0.2)
+        viewer.send(attend=False)
+        for _ in range(20):
+            other.stay(0.1)
+            if "Anna (page)" not in (names := {client.name for client in trial.robot.state.clients}):
+                break
+        assert "Anna (page)" not in names
+        assert trial.robot.state.enabled
+
+
 def test_it_is_off_unless_a_setting_says_otherwise(trial: Trial, tmp_path: Path) -> None:
     """Either setting turns it off: nobody drives from a page that proves nobody's presence."""
     for number, text in enumerate(('[attend]\nrequired = "on"\n[web]\n', '[web]\ndrive = "on"\n')):
