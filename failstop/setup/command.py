@@ -136,6 +136,12 @@ def _prove(talk: Talk, settings: Mapping[str, object], device: str, name: str, h
         if talk.silent or not talk.agreed("repeat", "Run it again? (yes, no)", YES):
             if talk.agreed("unproved", "Write the settings anyway? (yes, no)", NO):
                 break
+            if evidence["verdict"] == finish.FAILED:
+                talk.draft.forget_tested()
+                talk.say(
+                    "The next setup asks about the wheels, sizes and limits again, because one of these answers may be "
+                    "wrong."
+                )
             wheels = f"; {halt.last.sentence()}" if halt.last else ""
             raise Left(f"the robot did not pass the stand test{wheels}")
         evidence = finish.proof(talk, settings, device, name, halt) or evidence

@@ -72,6 +72,13 @@ class Draft:
             for each in TOGETHER:
                 self.answers.pop(each, None)
 
+    def forget_tested(self) -> None:
+        """Delete everything that a stand test tests: all answers except those about the hardware, and all settings
+        that setup has found. Only a person who looks at the wheels again can tell which of them was wrong."""
+        self.answers = {key: answer for key, answer in self.answers.items() if key in HARDWARE}
+        self.found.clear()
+        self._write()
+
     def forget(self, *keys: str) -> None:
         """Delete the answers to these questions, so that they are asked again. Without arguments, delete
         everything."""

@@ -51,6 +51,8 @@ started only after the setup."""
 NO_SECOND_NAME = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.EMLINK, errno.EXDEV)
 """The errors of os.link if the file system or the kernel (fs.protected_hardlinks) allows no second name."""
 RESULT = "result.json"
+FAILED = "FAIL"
+"""The verdict of a stand test in which the wheels did not do what they should."""
 NO_RESULT = "no result"
 """The verdict of a stand test that did not begin, or could not save its result."""
 

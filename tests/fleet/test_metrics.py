@@ -103,10 +103,10 @@ def test_a_level_that_a_stop_has_not_reached_has_no_sample() -> None:
     stop = states.stop(written_s=None, acknowledged_s=None, observed_s=None)
     found = parsed(states.latched(last_stop=stop))
     assert not [name for name in found if re.search("written|acknowledged|observed", name)]
-    for flaw in ("sent", "believed"):  # the board may not have what is written
-        assert "failstop_last_stop_written_seconds" not in parsed(
-            states.latched(last_stop=states.stop(**{flaw: False}))
-        )
+    whole = states.stop()
+    for stop in (dataclasses.replace(whole, sent=False), dataclasses.replace(whole, believed=False)):
+        # The board may not have what is written.
+        assert "failstop_last_stop_written_seconds" not in parsed(states.latched(last_stop=stop))
     assert one(states.latched(last_stop=states.stop(observed_s=0.0)), "last_stop_observed_seconds") == 0
 
 

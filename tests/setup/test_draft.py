@@ -60,6 +60,13 @@ def test_another_answer_ends_what_was_answered_and_found_for_the_one_before(key:
     assert bool(left.found) == (key not in ("port", "board", "robot", "layout"))
 
 
+def test_what_a_stand_test_tests_can_be_forgotten_and_the_hardware_stays(tmp_path: Path) -> None:
+    filled(tmp_path).forget_tested()
+    left = draft(tmp_path)
+    assert left.answers == {each: WHOLE[each] for each in ("port", "board", "can_id", "robot", "layout")}
+    assert left.found == {}
+
+
 @pytest.mark.parametrize("again", [True, False])
 def test_a_port_that_has_to_be_named_again_may_be_the_same_one(again: bool, tmp_path: Path) -> None:
     filled(tmp_path).forget("board", "port")

@@ -183,6 +183,19 @@ def test_after_a_stand_test_that_did_not_pass_the_wheels_are_stopped_and_named(
     assert board.stops == 2
 
 
+@pytest.mark.parametrize(("verdict", "kept"), [("FAIL", False), ("INVALID", True), ("", True)])
+def test_answers_that_a_failed_stand_test_puts_in_doubt_are_asked_again(
+    verdict: str, kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = Draft("left", {"STATE_DIRECTORY": str(tmp_path)})
+    for key, answer in (("board", "ugv"), ("wheel_0", "left+"), ("track_m", "0.172")):
+        before.keep(key, answer)
+    with pytest.raises(Left, match="did not pass the stand test"):
+        proved(tmp_path, Runs((1, verdict)), monkeypatch, prove="yes", unproved="no")
+    left = Draft("left", {"STATE_DIRECTORY": str(tmp_path)}).answers
+    assert set(left) == ({"board", "wheel_0", "track_m"} if kept else {"board"})
+
+
 def test_whatever_ends_the_stand_test_the_wheels_are_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Interrupted(Runs):
         def run(self, words: Sequence[str], said: str | None) -> tuple[int, bool]:
