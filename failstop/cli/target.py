@@ -22,10 +22,11 @@ from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from typing import Any
 
     from failstop.board.interface import Board
+    from failstop.doctor.system import Holder
 
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
@@ -403,30 +404,35 @@ class Target:
         return heard is False
 
     def bypassed(self) -> bool:
-        """Print a warning and return True if the stop was written to the port of a service that was not asked. That
-        happens only to root, whom an exclusive port does not keep out, for example if another user has started the
-        service. The service does not know of the stop, so it sends the next motion frame at its usual time."""
-        if not self._held or self.asked:
-            return False
-        by, names = self._holders()
-        ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
-        ask = f", or {ways} as the user who started it" if ways else ""
-        standard.say(f"{by} was not asked, still has {self.device()} and may drive on: use the POWER SWITCH{ask}")
-        return True
+        """Print a warning and return True if another process has the port open, and was not asked to stop. It does not
+        know of the stop, so it writes the next motion frame at its usual time. This can be any driver that has not
+        opened the port exclusively, or, for root, whom an exclusive port does not keep out, also a service that another
+        user has started. For systemd only services count, because a driver may have begun to use the port since."""
+        left = [it for it in self._holders(writing=True) if not it.instance or it.instance not in self.asked]
+        programs = {} if self._last_first else {str(it): it.end() for it in left if not it.instance}
+        held = self._held and not self.asked
+        if held:
+            by, names = _described([it for it in left if it.instance])
+            ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
+            ask = f", or {ways} as the user who started it" if ways else ""
+            standard.say(f"{by} was not asked, still has {self.device()} and may drive on: use the POWER SWITCH{ask}")
+        if programs:
+            ends = ", ".join(f"`{end}`" for end in programs.values())
+            also = f"{', '.join(programs)} also has {self.device()} open and may drive on"
+            standard.say(f"{also}: use the POWER SWITCH, or end it with {ends}")
+        return held or bool(programs)
 
-    def _holders(self) -> tuple[str, list[str]]:
-        """Return (the processes that have the port open, as text; the names of those that are services and were not
-        asked)."""
+    def _holders(self, *, writing: bool = False) -> list[Holder]:
+        """Return the other processes that have the port open, or, with `writing`, only those that have it open for
+        writing. Empty if none can be found."""
         try:
             # imported only here, because it looks at every process of the computer
             from failstop.doctor.system import System
 
-            holders, _ = System().holders(self.device())
+            system, device = System(), self.device()
+            return [it for it in system.holders(device)[0] if not writing or system.writes(it.pid, device)]
         except Exception:  # people must learn that the robot may drive on, even if nobody can be named
-            holders = ()
-        who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
-        services = dict.fromkeys(it.instance for it in holders if it.instance and it.instance not in self.asked)
-        return ", ".join(who) or "another process", list(services)
+            return []
 
     def complain(self) -> None:
         """Print the mistakes in the settings file. Call this after the stop, because printing may be delayed."""
@@ -486,10 +492,14 @@ class Target:
             return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
-        by, names = self._holders()
+        by, names = _described(self._holders())
         asked = f"; asked without success: {', '.join(self.asked)}" if self.asked else ""
         # A service that this user's command can't reach would not be asked by it either.
-        ways = [f"`failstop stop{instance.option(name)}`" for name in names if instances.listens(name)]
+        ways = [
+            f"`failstop stop{instance.option(name)}`"
+            for name in names
+            if name not in self.asked and instances.listens(name)
+        ]
         if os.geteuid():
             ways.append(f"`sudo failstop stop --device {device}{instance.option(self._name)}`, which writes anyway")
         return f"{device} is held exclusively by {by}{asked}: {', or '.join(['use the POWER SWITCH', *ways])}"
@@ -502,6 +512,13 @@ class Target:
         names = [name for name in instances.listening() if name not in (*self.asked, *self.confirmed)]
         ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
         return f"a service with another port is running; to stop its robot: {ways}" if ways else ""
+
+
+def _described(holders: Collection[Holder]) -> tuple[str, list[str]]:
+    """Return (these processes as text; the names of those that are services). The text is "another process" if there
+    are none."""
+    who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
+    return ", ".join(who) or "another process", list(dict.fromkeys(it.instance for it in holders if it.instance))
 
 
 def _refuse_stranger(device: str, board: Board) -> None:

@@ -324,6 +324,17 @@ class System:
         found = tuple(self.holder(pid) for pid, paths in opened if paths and resolved in paths)
         return found, sum(paths is None for _, paths in opened)
 
+    def writes(self, pid: int, path: str) -> bool:
+        """True if a process has a device open for writing."""
+        resolved, folder = os.path.realpath(path), self.path(f"/proc/{pid}/fd")
+        for name in _tried(lambda: os.listdir(folder)) or ():
+            with contextlib.suppress(OSError):
+                link = f"{folder}/{name}"
+                # The permissions of these links are how the file was opened.
+                if os.readlink(link) == resolved and os.lstat(link).st_mode & stat.S_IWUSR:
+                    return True
+        return False
+
     def said(self, *words: str, timeout_s: float = 1.0) -> str | None:
         """The output of a command. None if the command failed or took too long."""
         try:

@@ -251,16 +251,18 @@ def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> Non
     assert found.text.startswith("minicom (pid 77) has /dev/ttyACM0 open since before it was unplugged")
 
 
-def test_who_has_a_device_open() -> None:
+@pytest.mark.parametrize("how", ["O_RDWR", "O_RDONLY"])
+def test_who_has_a_device_open(how: str) -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
-    code = f"import os; os.open({path!r}, os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"
+    code = f"import os; os.open({path!r}, os.{how} | os.O_NOCTTY); print('open', flush=True); input()"
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         try:
             assert other.stdout is not None
             assert other.stdout.readline() == "open\n"
             assert [holder.pid for holder in System().holders(path)[0]] == [other.pid]
+            assert System().writes(other.pid, path) == (how == "O_RDWR")
         finally:
             other.kill()
     os.close(slave)

@@ -41,11 +41,13 @@ def board(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A pty: its link, and the board's side of it."""
     master, slave = pty.openpty()
     tty.setraw(slave)
+    keeps = os.open(os.ttyname(slave), os.O_RDONLY | os.O_NOCTTY)  # not for writing, as a driver has it
     link = tmp_path / "board"
     link.symlink_to(os.ttyname(slave))
+    os.close(slave)
     yield str(link), master
     os.close(master)
-    os.close(slave)
+    os.close(keeps)
 
 
 @pytest.fixture

@@ -36,12 +36,14 @@ def port(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A second board's port: its link, and the board's side of it."""
     master, slave = pty.openpty()
     tty.setraw(slave)
+    keeps = os.open(os.ttyname(slave), os.O_RDONLY | os.O_NOCTTY)  # not for writing, as a driver has it
     os.set_blocking(master, False)
     link = tmp_path / "other"
     link.symlink_to(os.ttyname(slave))
+    os.close(slave)
     yield str(link), master
     os.close(master)
-    os.close(slave)
+    os.close(keeps)
 
 
 def written(master: int) -> bytes:
@@ -135,6 +137,24 @@ def test_whoever_holds_the_port_is_named(port: tuple[str, int]) -> None:
     finally:
         holder.kill()
         holder.wait()
+
+
+def test_a_program_that_shares_the_port_is_named_because_it_may_drive_on(port: tuple[str, int]) -> None:
+    """Most drivers don't open the port exclusively, so the stop can be written, and their next frame ends it."""
+    link, master = port
+    with open(link, "r+b", buffering=0) as shared:
+        driver = subprocess.Popen(["sleep", "60"], stdin=shared)
+    try:
+        done = failstop("stop", "--device", link, "--wait", "0")
+        assert done.returncode == 1
+        assert "stop frame" in done.stdout
+        assert written(master) != b""
+        assert f"sleep (pid {driver.pid}" in done.stderr
+        assert f"also has {link} open and may drive on: use the POWER SWITCH" in done.stderr
+    finally:
+        driver.kill()
+        driver.wait()
+    assert f"(pid {driver.pid}" not in failstop("stop", "--device", link, "--wait", "0").stderr
 
 
 def test_of_two_services_one_is_stopped_or_all_that_run_are_asked(trial: Trial, name: str) -> None:

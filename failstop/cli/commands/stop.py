@@ -86,7 +86,7 @@ def main(arguments: Namespace) -> int:
     Returns 0 if a stop was written and there is no doubt about it. Returns 1 in each of these cases:
 
     - The stop may have gone to the wrong port.
-    - The stop was written to the port of a service that was not asked, so this service may drive on.
+    - Another process has the port open and was not asked, so it may drive on: a service, or any other program.
     - With --last-port, the settings name another port than the last run's, and no stop could be written there.
     - The board has not answered, although this kind of board answers. (With --end-service, this is printed, but does
       not make the result 1.)
