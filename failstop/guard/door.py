@@ -18,7 +18,7 @@ import os
 import select
 
 from failstop.guard.news import News, Opener
-from failstop.guard.openers import Watch, dying, holds, identity, openers
+from failstop.guard.openers import dying, holds, identity, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class Door:
     """Watches the programs that have the pseudo-terminal open, and wakes the guard when something changes."""
 
     def __init__(self, pty: Pty) -> None:
-        """`pty`: the pseudo-terminal to watch. Raises OSError."""
+        """`pty`: the pseudo-terminal to watch."""
         self._pty, self._poll = pty, select.epoll()
         self.seen: dict[int, Opener] = {}
         """The programs that have opened the pseudo-terminal, by pid, as far as /proc shows them."""
@@ -51,14 +51,16 @@ class Door:
         self._begin()
 
     def _begin(self) -> None:
-        self._watch = Watch(self._pty.name)
-        for fd in (self._pty.master, self._watch.fd):
+        for fd in self._fds():
             self._poll.register(fd, select.EPOLLIN)
+
+    def _fds(self) -> tuple[int, int]:
+        return self._pty.master, self._pty.watch.fd
 
     @property
     def vacant(self) -> bool:
         """True if no program has the pseudo-terminal open. False if one may have opened it since the last look()."""
-        return not self.count and not self._watch.stirs()
+        return not self.count and not self._pty.watch.stirs()
 
     @property
     def crowded(self) -> bool:
@@ -80,7 +82,7 @@ class Door:
                 self.count = max(0, self.count - opener.times)
                 news.ended = news.any = True
                 news.emptied |= not self.count
-        for opened in self._watch.events():
+        for opened in self._pty.watch.events():
             news.any = True
             self._opened = max(0, self._opened + (1 if opened else -1))
             if opened:
@@ -148,20 +150,15 @@ class Door:
     def hang_up(self) -> None:
         """Take the port away from all programs: close the pseudo-terminal and open a new one. Raises FailstopError or
         OSError."""
-        self._poll.unregister(self._pty.master)
-        self._close_watch()
+        for fd in self._fds():
+            self._poll.unregister(fd)
         self._pty.hang_up()
         self._dying.clear()
         self._update_lives({})
         self.count = self._opened = 0
         self._begin()
 
-    def _close_watch(self) -> None:
-        self._poll.unregister(self._watch.fd)
-        self._watch.close()
-
     def close(self) -> None:
         self._dying.clear()
         self._update_lives({})
-        self._close_watch()
         self._poll.close()

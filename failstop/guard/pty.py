@@ -28,6 +28,7 @@ import tty
 
 from failstop.api.errors import FailstopError
 from failstop.guard.news import HungUp
+from failstop.guard.openers import Watch
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -46,14 +47,20 @@ GROUP = "failstop"
 class Pty:
     """The pseudo-terminal, and the link at `path` that leads to it."""
 
+    watch: Watch
+    """Reports when a program opens or closes the terminal. It begins before the link is made, because a driver that
+    waits for its port opens the link at once."""
+
     def __init__(self, path: str) -> None:
-        """`path`: where to make the link. Raises FailstopError."""
+        """`path`: where to make the link. Raises FailstopError or OSError."""
         self.path = path
         self.master = self.slave = -1
         self.name = ""
         """The path of the slave."""
         self._left = b""
         """The rest of an answer of which the terminal has accepted only the beginning."""
+        self._open_files = contextlib.ExitStack()
+        """Closes what belongs to the present pseudo-terminal."""
         self._lock = self._locked()
         try:
             self._open()
@@ -82,10 +89,14 @@ class Pty:
 
     def _open(self) -> None:
         self.master, self.slave = os.openpty()
+        for fd in (self.master, self.slave):
+            self._open_files.callback(os.close, fd)
         os.set_blocking(self.master, False)
         self.name = os.ttyname(self.slave)
         tty.setraw(self.slave)
         self._let_in()
+        self.watch = Watch(self.name)
+        self._open_files.callback(self.watch.close)
         self._link()
 
     def _let_in(self) -> None:
@@ -210,14 +221,12 @@ class Pty:
 
     def hang_up(self) -> None:
         """Close the pseudo-terminal and open a new one. A program that still has the old one open reads the end of the
-        file, and can't write any more. Raises FailstopError."""
+        file, and can't write any more. Raises FailstopError or OSError."""
         self._close()
         self._open()
 
     def _close(self) -> None:
-        for fd in (self.master, self.slave):
-            if fd >= 0:
-                os.close(fd)
+        self._open_files.close()
         self.master = self.slave = -1
         self._left = b""
 

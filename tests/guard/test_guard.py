@@ -580,3 +580,30 @@ def test_an_answer_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     finally:
         os.close(slave)
         pty.close()
+
+
+def test_a_driver_that_opens_the_link_as_soon_as_it_is_there_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also after the guard has hung up, when a driver opens its port again at once."""
+    opened: list[int] = []
+    link = Pty._link
+
+    def link_and_open(pty: Pty) -> None:
+        link(pty)
+        opened.append(os.open(pty.path, os.O_RDWR | os.O_NOCTTY))
+
+    monkeypatch.setattr(Pty, "_link", link_and_open)
+    pty = Pty(str(tmp_path / "port"))
+    door = Door(pty)
+    try:
+        for hung_up in (False, True):
+            if hung_up:
+                door.hang_up()
+            assert not door.vacant
+            assert door.look(door.wait(0)).any
+            assert door.count == 1
+            os.close(opened.pop())
+    finally:
+        door.close()
+        pty.close()
