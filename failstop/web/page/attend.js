@@ -10,6 +10,7 @@ const CHECK_MS = 200;
 const HINT = "The robot stops if you hide this page, lock the phone or lose the network.";
 const UNCOUNTED = "The robot does not count you: this page's answers reach it too late, or not at all. The network may be too slow.";
 let key = null, attends = false, paired = false, needed = false, known = true, missed = false;
+let refused = ""; // why the last tap did nothing; shown until the connection is back or somebody attends
 let counted = -Infinity; // when the robot last said in time that it counts this device
 
 function show(why) {
@@ -21,6 +22,7 @@ function show(why) {
 
 function attend(on) {
   attends = on;
+  refused = "";
   missed = false;
   counted = performance.now();
   watch(on);
@@ -36,7 +38,7 @@ async function begin() {
   key = await kept().catch(() => null);
   if (!key) { show("This device has no key, so pair it again over HTTPS."); return; }
   if (TOO_OLD) { show(TOO_OLD); return; }
-  if (!send({attend: true})) { show("Not now: there is no connection to the robot. Try again."); return; }
+  if (!send({attend: true})) { show(refused = "Not now: there is no connection to the robot. Try again."); return; }
   attend(true);
   show(HINT);
 }
@@ -69,6 +71,6 @@ addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired
 addEventListener("view", ({detail}) => {
   needed = detail.attended !== null;
   if (attends || !needed) show();
-  else show(detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends.");
+  else show(refused || (detail.attended.length ? `Attended by ${detail.attended.join(", ")}.` : "Nobody attends."));
 });
 setInterval(check, CHECK_MS);
