@@ -485,6 +485,8 @@ SIGNED = (
     ROS_NO_ANSWER,
 )
 """The causes of stops that a program requests, giving a reason, its name and its pid."""
+BY_SOMEBODY = (*SIGNED, PIPED, FLEET, BUTTON, KEY)
+"""The causes of stops that a person or another program has asked for. A test must not reset them by itself."""
 
 
 class Reply(Data):

@@ -24,6 +24,7 @@ from failstop.api.snapshot import Block, State
 from failstop.board.interface import BY_WHEELS, HEARD_WHEELS
 from failstop.board.kinds import board_of
 from failstop.messages import layout
+from failstop.policy import causes
 from failstop.setup import leftovers
 from failstop.setup.ending import end_with_parent, uninterrupted
 from failstop.setup.halt import Halt
@@ -174,12 +175,16 @@ class Rig:
             try:
                 self._robot = self._robot or Robot(self.name, client="setup")
                 state = self._robot.wait_for("ready", 0.2)
+                if state.cause and state.cause.kind in causes.BY_SOMEBODY:
+                    raise Left(f"somebody stopped the robot: {state.cause}")
                 if state.cause:
                     self._robot.reset(seen=state.epoch)
                 self._robot.enable()
                 return
             except Refused as error:
                 refused = error.reason
+            except Left:
+                raise
             except FailstopError:
                 pass  # the service has not started yet, or is not ready
             if time.monotonic() > until_s:
@@ -195,18 +200,19 @@ class Rig:
         self.turned, self.moved = {}, {}
         self._pace = Pace(self._board.reports) if self._board.reports.own_scale else None
         places: dict[int, list[float]] = {}
-        blocked, moved_s = "", time.monotonic()
+        blocked, began, moved_s = "", False, time.monotonic()
         self._drove = True
-        until_s = time.monotonic() + seconds
+        until_s = moved_s + seconds
         try:
             while time.monotonic() < until_s:
                 answer = self._robot.drive(*velocity, manual=True)
                 blocked = answer.why if isinstance(answer, Blocked) else ""
+                disabled = isinstance(answer, Blocked) and answer.block == Block.DISABLED
                 if not blocked:
-                    moved_s = time.monotonic()
-                elif time.monotonic() - moved_s > BLOCKED_S:
-                    break
-                elif isinstance(answer, Blocked) and answer.block == Block.DISABLED:
+                    began, moved_s = True, time.monotonic()
+                elif time.monotonic() - moved_s > BLOCKED_S or (disabled and began):
+                    break  # motion that was enabled and then disabled is somebody's wish, for one
+                elif disabled:
                     self._robot.enable()
                 told_rps = self._told_rps()
                 time.sleep(REPEAT_S)

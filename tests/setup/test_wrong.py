@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import subprocess
+import threading
 from argparse import ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
 from io import StringIO
@@ -21,7 +22,9 @@ import pytest
 
 from failstop import config, helpers
 from failstop.api.errors import FailstopError, Refused
+from failstop.api.robot import Robot
 from failstop.board.kinds import board_of
+from failstop.policy import causes
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop.setup import command, finish, rig, robots
@@ -234,6 +237,52 @@ def strike(fault: str, board: SimBoard, person: Person) -> None:
         board.unplug()
     else:
         board.deaf(True)
+
+
+def test_a_stop_that_somebody_asks_for_while_the_service_starts_is_not_reset(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def wait_for(self, *_: object) -> object:
+            return SimpleNamespace(cause=causes.PIPED("hand near wheel"), epoch=2)
+
+        def close(self) -> None:
+            pass
+
+    port = place / "b"
+    port.touch()
+    monkeypatch.setattr(rig, "Robot", Stopped)
+    monkeypatch.setattr(helpers, "python", lambda *_: ["sleep", "60"])
+    kind = {"board.kind": KIND, "wheels.layout": "differential"}
+    halt = Halt(str(port), board_of(KIND, 1.0, 0.0), print)
+    with pytest.raises(Left, match=r"somebody stopped the robot: .*hand near wheel"), rig.Rig(str(port), kind, halt):
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ask", ["disable", "stop"])
+def test_motion_that_somebody_ends_while_a_wheel_turns_does_not_begin_again(ask: str, place: Path) -> None:
+    port = str(place / "b")
+    values, velocity = rig.alone(KIND, 2, 1, 0.05, 0.08)
+    halt = Halt(port, board_of(KIND, 0.08, 0.0), pytest.fail)
+
+    def end(name: str) -> None:
+        board.wait_wheels(True, STOPS_S)
+        with Robot(name, client="somebody") as robot:
+            robot.disable() if ask == "disable" else robot.estop("hand near wheel")
+        board.wait_wheels(False, STOPS_S)
+        board.events()
+
+    with SimBoard(port, board=KIND) as board, rig.Rig(port, {**values, "gate.lease_s": 0.25}, halt) as made:
+        somebody = threading.Thread(target=end, args=(made.name,))
+        somebody.start()
+        with pytest.raises(Left, match="disabled" if ask == "disable" else "hand near wheel"):
+            made.drive(velocity, 20.0)
+        somebody.join()
+        assert not any(is_motion(event) for event in board.events())
 
 
 @pytest.mark.slow

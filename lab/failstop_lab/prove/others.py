@@ -22,7 +22,7 @@ STOPS = frozenset(("stop", "stop_again", "stop_also"))
 ENDING = frozenset(
     kind.name
     for kind in (
-        *(*causes.SIGNED, causes.PIPED, causes.FLEET, causes.BUTTON, causes.KEY),
+        *causes.BY_SOMEBODY,
         *(causes.RUNAWAY, causes.UNCOUNTED, causes.BATTERY),
     )
 )
