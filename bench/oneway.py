@@ -22,7 +22,7 @@ from types import TracebackType
 
 import numpy as np
 
-from bench import report, stats
+from bench import BenchError, report, stats
 from bench.oneway_pair import COUNT_BYTES, MISSING, READY
 from bench.oneway_peer import CHANNELS, FLOOR, OURS
 from bench.peer import ROOT
@@ -44,7 +44,7 @@ while os.getppid() == parent:
 ANSWER_S = 20.0
 
 
-class PairFailed(Exception):
+class PairFailed(BenchError):
     """A pair of processes did not measure; says what it said."""
 
 

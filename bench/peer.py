@@ -9,6 +9,8 @@ import subprocess
 import sys
 from typing import Protocol
 
+from bench import BenchError
+
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 """Where `python -m bench.…` works."""
 END_S = 10.0
@@ -56,12 +58,12 @@ class ExitHandler:
         return self._driver
 
     def settle(self) -> None:
-        """Wait for the stop tool, which its parent waits for. Raises RuntimeError when it failed."""
+        """Wait for the parent, which waits for the stop tool. Raises BenchError when the parent failed."""
         assert self._parent is not None
         code = self._parent.wait(END_S)
         self._collect()
         if code:
-            raise RuntimeError(f"the stop tool failed with exit code {code}")
+            raise BenchError(f"the parent of the stop tool failed with exit code {code}")
 
     def _collect(self) -> None:
         if self._parent is not None and self._parent.stdout is not None:

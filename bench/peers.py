@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 
-from bench import report, stats
+from bench import BenchError, report, stats
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
@@ -35,7 +35,7 @@ OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
 """So many kills are no crash loop here."""
 
 
-class PeerFailed(Exception):
+class PeerFailed(BenchError):
     """A peer did not do what it is there for; says what was seen."""
 
 

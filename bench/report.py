@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -29,7 +30,7 @@ def whole(part: Callable[[], list[Row]]) -> list[Row]:
     """A part's rows; of one that can't be measured, a row that says why: what was measured for half an hour is kept."""
     try:
         return part()
-    except (BenchError, FailstopError, SimBoardError, OSError, RuntimeError) as error:
+    except (BenchError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
         return [Row("a part that could not be measured", str(error), "that it can be", False, {})]
 
 

@@ -408,11 +408,13 @@ class Target:
         know of the stop, so it writes the next motion frame at its usual time. This can be any driver that has not
         opened the port exclusively, or, for root, whom an exclusive port does not keep out, also a service that another
         user has started. For systemd only services count, because a driver may have begun to use the port since."""
-        left = [it for it in self._holders(writing=True) if not it.instance or it.instance not in self.asked]
-        programs = {} if self._last_first else {str(it): it.end() for it in left if not it.instance}
         held = self._held and not self.asked
+        if self._last_first and not held:
+            return False
+        holders = self._holders(writing=True)
+        programs = {} if self._last_first else {str(it): it.end() for it in holders if not it.instance}
         if held:
-            by, names = _described([it for it in left if it.instance])
+            by, names = _described([it for it in holders if it.instance])
             ways = " or ".join(f"`failstop stop{instance.option(name)}`" for name in names)
             ask = f", or {ways} as the user who started it" if ways else ""
             standard.say(f"{by} was not asked, still has {self.device()} and may drive on: use the POWER SWITCH{ask}")

@@ -278,17 +278,23 @@ class System:
         """(pid, paths of open files) for each other process. The paths are None if this user may not see them.
         Processes that /proc hides from this user are left out (hides_processes())."""
         for pid in (int(name) for name in self.names("/proc") if name.isdigit()):
-            found = set()
             try:
-                for name in os.listdir(self.path(f"/proc/{pid}/fd")) if pid != os.getpid() else ():
-                    with contextlib.suppress(OSError):
-                        found.add(os.readlink(self.path(f"/proc/{pid}/fd/{name}")))
+                found = {path for _, path in self._files_of(pid)} if pid != os.getpid() else set()
             except PermissionError:
                 yield pid, None
             except OSError:
                 continue
             else:
                 yield pid, found
+
+    def _files_of(self, pid: int) -> Iterator[tuple[str, str]]:
+        """(link in /proc, path) of each file that a process has open. Raises OSError if this user may not see them, or
+        if the process has ended."""
+        folder = self.path(f"/proc/{pid}/fd")
+        for name in os.listdir(folder):
+            with contextlib.suppress(OSError):
+                link = f"{folder}/{name}"
+                yield link, os.readlink(link)
 
     def holder(self, pid: int) -> Holder:
         """A process as a Holder, with its name, command line, unit and service."""
@@ -326,12 +332,11 @@ class System:
 
     def writes(self, pid: int, path: str) -> bool:
         """True if a process has a device open for writing."""
-        resolved, folder = os.path.realpath(path), self.path(f"/proc/{pid}/fd")
-        for name in _tried(lambda: os.listdir(folder)) or ():
+        resolved = os.path.realpath(path)
+        for link in _tried(lambda: [each for each, opened in self._files_of(pid) if opened == resolved]) or ():
             with contextlib.suppress(OSError):
-                link = f"{folder}/{name}"
-                # The permissions of these links are how the file was opened.
-                if os.readlink(link) == resolved and os.lstat(link).st_mode & stat.S_IWUSR:
+                # The permissions of this link are how the file was opened.
+                if os.lstat(link).st_mode & stat.S_IWUSR:
                     return True
         return False
 

@@ -211,7 +211,7 @@ class Rig:
                 if not blocked:
                     began, moved_s = True, time.monotonic()
                 elif time.monotonic() - moved_s > BLOCKED_S or (disabled and began):
-                    break  # motion that was enabled and then disabled is somebody's wish, for one
+                    break  # somebody may have disabled motion on purpose
                 elif disabled:
                     self._robot.enable()
                 told_rps = self._told_rps()

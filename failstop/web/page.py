@@ -73,9 +73,11 @@ class Page:
         self._storage = storage.Storage(storage.folder(name, os.environ))
         self.devices = self._storage.devices() if self.pairing_on else devices.Devices()
         self._saving = asyncio.Lock()
-        """Held while the devices are saved, so that an older list never replaces a newer one."""
+        """Held while a list of devices is saved. So no other list is saved with a device that is removed again because
+        saving it failed."""
         self._disk = ThreadPoolExecutor(1, "disk")
-        """Saves the devices. A slow disk can hold up a write for seconds, and no STOP may wait for it."""
+        """Saves the devices, one list after the other. A slow disk can hold up a write for seconds, and no STOP may
+        wait for it."""
         self.tls = self._tls(settings.text("web.tls"))
         self.fingerprint = self._storage.fingerprint() if self.tls else ""
         self.control_path = self._storage.path(storage.CONTROL)

@@ -8,7 +8,6 @@ import pty
 import signal
 import subprocess
 import termios
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -34,20 +33,15 @@ from tests.support.amounts import amount
 from tests.support.boards import own_folder
 from tests.support.children import NOBODY
 from tests.support.commands import FAILSTOP
+from tests.support.ptys import bare_port
 
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A pty: its link, and the board's side of it."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    keeps = os.open(os.ttyname(slave), os.O_RDONLY | os.O_NOCTTY)  # not for writing, as a driver has it
     link = tmp_path / "board"
-    link.symlink_to(os.ttyname(slave))
-    os.close(slave)
-    yield str(link), master
-    os.close(master)
-    os.close(keeps)
+    with bare_port(link) as master:
+        yield str(link), master
 
 
 @pytest.fixture

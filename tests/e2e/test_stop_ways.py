@@ -5,11 +5,9 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import os
-import pty
 import subprocess
 import termios
 import time
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +21,7 @@ from failstop.files import root
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, call
 from tests.support.commands import FAILSTOP, failstop
+from tests.support.ptys import bare_port
 from tests.support.shared_trial import IMU_HZ, goes_on, set_off
 from tests.support.simulated import Simulated
 
@@ -34,16 +33,10 @@ CAP_SYS_ADMIN = 21
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A second board's port: its link, and the board's side of it."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    keeps = os.open(os.ttyname(slave), os.O_RDONLY | os.O_NOCTTY)  # not for writing, as a driver has it
-    os.set_blocking(master, False)
     link = tmp_path / "other"
-    link.symlink_to(os.ttyname(slave))
-    os.close(slave)
-    yield str(link), master
-    os.close(master)
-    os.close(keeps)
+    with bare_port(link) as master:
+        os.set_blocking(master, False)
+        yield str(link), master
 
 
 def written(master: int) -> bytes:

@@ -11,6 +11,7 @@ import select
 import termios
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 from failstop.board.rrc.framing import MOTOR
 from failstop_lab.sim.motors import Motors
@@ -85,6 +86,21 @@ def new_pty() -> Iterator[Pty]:
         yield made
     finally:
         made.close()
+
+
+@contextlib.contextmanager
+def bare_port(link: Path) -> Iterator[int]:
+    """A port behind this link that no program has open for writing, as a driver would; yields the board's side."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    link.symlink_to(os.ttyname(slave))
+    keeps = os.open(link, os.O_RDONLY | os.O_NOCTTY)
+    os.close(slave)
+    try:
+        yield master
+    finally:
+        os.close(master)
+        os.close(keeps)
 
 
 class Board:
